@@ -20,12 +20,13 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientation, pseudo_angle, turn_between
 
-_COLLARS, _REGIONS = 256, 8  # strips, and unions of strips, that are united in one call
-# Most chords per quarter circle around corners of inflated obstacles: a path along them is 0.16 % too short. Fewer
-# suffice if a path around one corner is too short by at most this share of the longer side. Tangents in their place
-# make paths twice as much too long; a tangent turns by at most this angle, so that it ends within 1.09 radii.
-_MOST_CHORDS, _SHORTENING = 8, 2e-5
-_LARGEST_TURN = np.pi / 4
+_COLLARS = 256  # strips along walls that are united in one call
+_REGIONS = 8  # unions of strips that are united in one call
+# Polygons in place of arcs around the corners of inflated obstacles. Tangents make paths twice as much too long as
+# chords make them too short.
+_MOST_CHORDS = 8  # per quarter circle: a path along them is 0.16 % too short
+_SHORTENING = 2e-5  # of the longer side: enough chords if a path around one corner is too short by less than this
+_LARGEST_TURN = np.pi / 4  # from one tangent to the next, in radians, so that tangents end within 1.09 radii
 LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
 _MEETING = 1e-12  # largest width, as a share of a ring's length, of a part where the ring crosses itself by rounding
 _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
@@ -33,6 +34,8 @@ _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
+VertexRows: TypeAlias = Int[np.ndarray, " some_vertices"]
+EdgeRows: TypeAlias = Int[np.ndarray, " some_edges"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +71,10 @@ class Boundary:
 
     @cached_property
     def contact_tree(self) -> shapely.STRtree:
-        points: Any = shapely.points(self.vertices[self.contacts])
-        return shapely.STRtree(points)
+        return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
     def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
-        """Return indices of the points near an edge (None: all), their nearest edges, and nearest places there."""
+        """Return the points ``within`` a distance of an edge (None: all), their nearest edges, and feet on these."""
         points: Any = shapely.points(x)
         point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)
         lines: Any = self.tree.geometries[edge]
@@ -81,10 +83,11 @@ class Boundary:
 
     def is_reflex(self) -> Bool[np.ndarray, " edges"]:
         """Return whether the region's interior angle at the start of each edge is greater than pi."""
+        # Counterclockwise through the region, the sector opens along the edge and closes along the one that arrives.
         corner = self.vertices[self.edges[:, 0]]
-        to_start = self.vertices[self.edges[:, 1]] - corner
-        to_end = self.vertices[self.sector_end] - corner
-        return orientation(*to_start.T, *to_end.T) < 0
+        opens = self.vertices[self.edges[:, 1]] - corner
+        closes = self.vertices[self.sector_end] - corner
+        return orientation(*opens.T, *closes.T) < 0
 
 
 def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) -> Boundary | None:
@@ -94,12 +97,15 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     a vertex is within ``tolerance`` of an edge but not on it. Vertices of ``old``, such as the boundary before a
     local change, are not tested against edges of ``old``.
     """
+    # 1. Number the distinct points of all rings, ordered by x, then y, and join consecutive points of a ring by
+    #    edges.
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
-    numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
-    vertices, inner = np.stack([numbers.real, numbers.imag], axis=1), ring[1:] == ring[:-1]
-    edges = np.stack([index[:-1][inner], index[1:][inner]], axis=1)
-    # 1. Pairs of a vertex and an edge within the tolerance; at least one of the two is new.
+    numbers, index = np.unique(points @ [1, 1j], return_inverse=True)
+    vertices = np.stack([numbers.real, numbers.imag], axis=1)
+    is_joined = ring[1:] == ring[:-1]
+    edges = np.stack([index[:-1][is_joined], index[1:][is_joined]], axis=1)
+    # 2. Pairs of a vertex and an edge within the tolerance; at least one of the two is new.
     is_new_vertex, is_new_edge = np.ones(len(vertices), bool), np.ones(len(edges), bool)
     if old is not None:
         same_vertex, same_edge = match_boundary(vertices, edges, old)
@@ -108,20 +114,23 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     of_new = vertices_near_edges(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
     of_old = vertices_near_edges(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
     vertex, edge = np.concatenate([of_new, of_old], axis=1)
-    # 2. Cut edges at the vertices on them, to a quarter of the tolerance. No other vertex may be near.
+    # 3. Test whether each vertex lies beside the edge, by more than a quarter of the tolerance, or beyond its ends.
     start, end = vertices[edges[edge]].transpose(1, 0, 2)
     along, offset = end - start, vertices[vertex] - start
     is_beside = np.abs(cross_product(along, offset)) > tolerance / 4 * np.linalg.norm(along, axis=1)
     is_beyond = ((offset * along).sum(axis=1) <= 0) | (((offset - along) * along).sum(axis=1) >= 0)
+    # 4. Cut edges at the vertices on them. The pieces of edge `owner` start at its start and at these vertices, in
+    #    the order of their distance from the start. Each ends where the next one starts, the last one at the edge's
+    #    end.
     owner, first = np.append(np.arange(len(edges)), edge), np.append(edges[:, 0], vertex)
     order = np.lexsort((np.append(np.zeros(len(edges)), np.linalg.norm(offset, axis=1)), owner))
     owner, first = owner[order], first[order]
     is_last = np.append(owner[1:] != owner[:-1], True)
     edges = np.stack([first, np.where(is_last, edges[owner, 1], np.roll(first, -1))], axis=1)
-    pieces = np.sort(edges.min(axis=1) * np.int64(len(vertices)) + edges.max(axis=1))
-    if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
+    pairs = np.sort(edges.min(axis=1) * np.int64(len(vertices)) + edges.max(axis=1))
+    if (is_beside | is_beyond).any() or (pairs[1:] == pairs[:-1]).any():
         return None
-    # 3. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
+    # 5. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
     #     s                  Each edge counts twice: row k at its start, and row len(edges) + k at its end, as seen
     #      \   sector        from there. Sort these rows by vertex, then counterclockwise. The rows of vertex v lie
     #       v ----- e --->   from begin to end - 1. Cyclically, the row after edge e belongs to the edge that arrives
@@ -131,9 +140,9 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
     begin, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
     successor = order[begin + (np.arange(len(order)) - begin + 1) % (end - begin)]
-    ends = np.empty(len(order), dtype=np.intp)
-    ends[order] = neighbor[successor]
-    return Boundary(vertices, edges, ends[: len(edges)])
+    sector_end = np.empty(len(order), dtype=np.intp)
+    sector_end[order] = neighbor[successor]
+    return Boundary(vertices, edges, sector_end[: len(edges)])
 
 
 def match_boundary(
@@ -148,13 +157,10 @@ def match_boundary(
 
 
 def vertices_near_edges(
-    vertices: Vertices,
-    edges: Edges,
-    tolerance: float,
-    some_vertices: Int[np.ndarray, " some_vertices"],
-    some_edges: Int[np.ndarray, " some_edges"],
+    vertices: Vertices, edges: Edges, tolerance: float, some_vertices: VertexRows, some_edges: EdgeRows
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
     """Return pairs of ``some_vertices`` and ``some_edges`` within ``tolerance``, except an edge with its own ends."""
+    # First drop vertices far from the box of all edges, then edges far from the box of the remaining vertices.
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
     near = boxes_near(segments, vertices[some_vertices, None], tolerance)
@@ -180,18 +186,28 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
 
     Chords replace arcs around corners; if ``outside``, tangents do.
     """
+    #    sector .- - - - - - -     The part consists of strips on the left of all edges, and of sectors of discs at
+    #         /  |   strip         reflex corners: from the strip of the edge that starts at the corner c,
+    #        - - c--------> edge   counterclockwise to the strip of the edge that arrives from s.
+    #      strip |#########
+    #            |# obstacle
+    #            s
+    # 1. Find the edge that arrives at the start of each edge, and the angle between their normals.
     offset = radius * boundary.normal
-    strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
     arriving = np.array([edge_of[ends] for ends in zip(boundary.sector_end, boundary.edges[:, 0], strict=True)])
-    is_reflex = boundary.is_reflex()
-    # ``k`` chords are shorter than their arc by about ``radius * turn**3 / (24 * k**2)``.
-    turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
-    most, needed = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
+    turn = turn_between(offset, offset[arriving])
+    # 2. Choose the numbers of chords. An arc of angle t is longer than k chords by about radius * t^3 / (24 k^2).
+    side = np.ptp(boundary.vertices, axis=0).max()
+    most = _MOST_CHORDS * turn / (np.pi / 2)
+    needed = np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
     least = np.maximum(1, outside * turn / _LARGEST_TURN)
     num_chords = np.ceil(np.maximum(least, np.minimum(most, needed)) - 1e-9).astype(int)
+    # 3. Unite strips and sectors, some at a time. Edges of one ring are consecutive, so most neighbors are united
+    #    early.
+    strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
+    is_reflex = boundary.is_reflex()
     regions = []
-    # Edges of one ring are consecutive, so most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
         collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
@@ -274,6 +290,7 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
     """Return the bounds, and free space as the union of components with holes, cut off at the bounds."""
+    # 1. Check each component, and subtract its holes.
     polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
@@ -291,6 +308,7 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
         polygons.append(shapely.difference(outer, shapely.union_all(blocked)))
     if not polygons:
         raise ValueError("Free space needs at least one component, got none.")
+    # 2. Unite the components in the bounds.
     bounds = as_bounds(shapely.total_bounds(polygons).reshape(2, 2) if bounds is None else bounds)
     box, *polygons = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * grid_of(bounds))
     return bounds, MultiPolygon(polygons_of(shapely.intersection(box, shapely.union_all(polygons))))
@@ -358,6 +376,7 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
 
 
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
+    """Return triangles that fill a Shapely (multi)polygon, in any order and orientation."""
     try:
         triangles = shapely.constrained_delaunay_triangles(region)
     except shapely.errors.GEOSException:  # GEOS fails on some polygons whose rings touch: halve the region
@@ -373,6 +392,7 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     """Return the Shapely geometries with all vertices that are within ``tolerance`` of one another made equal."""
+    # Group the distinct vertices that chains of such pairs join. The first of a group, by x, then y, replaces all.
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)
     places: Any = shapely.points(points)
@@ -402,11 +422,16 @@ class Region(NamedTuple):
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
-    # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
+    """Return free space as a region, with vertices on a grid; ``rounded(free, grid)`` moves them there.
+
+    ``ValueError`` if nothing is free, or walls or gaps are too thin.
+    """
+    # 1. Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
     with np.errstate(divide="ignore", invalid="ignore"):  # GEOS divides by coordinates near 0, such as 1e-163
         region = _simplify(rounded(free, grid), 4 * grid)
-    # If walls or gaps are thinner than edges can be split reliably, snap to coarser and coarser grids.
+    # 2. If walls or gaps are thinner than edges can be split reliably, snap to coarser and coarser grids, at most
+    #    four.
     coarser = 32 * grid
     while (boundary := ring_boundary(region, 8 * grid)) is None:
         if coarser > 256 * grid:
@@ -423,7 +448,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    # Parts of the boundary that are also in ``old`` are not tested again.
+    """Return free space as :func:`region_of` does, but do not test parts of the boundary that are also in ``old``."""
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

@@ -12,12 +12,13 @@ from plr_jax._arrays import concatenated, parts, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
-from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, views_by_triangle
 from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
-_PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and boxes at walls, in memory at a time
+_PAIRS = 1 << 18  # pairs of a sample and a corner in memory at a time
+_WALL_BOXES = 1 << 11  # boxes at walls in memory at a time
 _CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_FREE_AREA = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
@@ -39,40 +40,38 @@ class FamilySamples:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
-        # 1. Choose the samples.
-        x, weight, area = (lo + hi) / 2, np.ones(len(lo)), np.prod(hi[0] - lo[0])
-        at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
-        at_wall = np.unique(at_wall)
+        """Choose a sample in each box ``lo[i]`` to ``hi[i]``, all of one size, and find where paths may turn."""
+        # 1. Sample boxes without walls at their centers: the box is free or blocked as a whole.
+        x, weight = (lo + hi) / 2, np.ones(len(lo))
+        at_wall = np.unique(triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0])
         elsewhere = np.setdiff1d(np.arange(len(lo)), at_wall)
         weight[elsewhere] = triangulation.locator.find(x[elsewhere])[1] >= -triangulation.tolerance
-        weight[at_wall] = 0.0
+        # 2. Sample boxes at walls at the center of their largest free piece.
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         for begin in range(0, len(at_wall), _WALL_BOXES):
             batch = at_wall[begin : begin + _WALL_BOXES]
             pieces, box, _ = clip_to_boxes(triangles, lo[batch], hi[batch])
-            size = areas(pieces)
-            order = np.lexsort((-size, box))
-            largest = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
+            area = areas(pieces)
+            order = np.lexsort((-area, box))
+            largest = order[np.append(True, box[order[1:]] != box[order[:-1]])[: len(order)]]
             x[batch[box[largest]]] = centers(pieces[:, largest])
-            weight[batch] = np.bincount(box, size, len(batch)) / area
+            weight[batch] = np.bincount(box, area, len(batch)) / np.prod(hi[0] - lo[0])
         weight[weight < _LEAST_FREE_AREA] = 0.0
         sampled = np.flatnonzero(weight)
         x[weight == 0] = np.nan
-        # 2. Test the corners that see a part of each sample's triangle.
-        places, corners = triangulation.place(x[sampled]), visibility.corners
+        # 3. List, for each triangle, the corners that see a part of it; both ways to bend around a corner are one.
+        corners = visibility.corners
         first, turns = turns_by_triangle(visibility, triangulation)
-        count = np.int64(len(corners.points))
-        key = np.unique(np.repeat(np.arange(len(first) - 1), np.diff(first)) * count + (turns >> 1))
-        triangle, of_triangle = np.divmod(key, count)
-        first = np.searchsorted(triangle, np.arange(len(first)))
+        triangle = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        first, corner_of_entry = views_by_triangle(triangulation, np.stack([turns >> 1, triangle]))
+        # 4. Pair each sample with the corners of its triangle that it sees and at which a path from it may turn.
+        places = triangulation.place(x[sampled])
         pairs = [np.zeros((2, 0), np.int64)]
         for part in parts(np.diff(first)[places.triangle], _PAIRS):
             entry, sample = take_ragged(first, places.triangle[part])
-            corner, sample = of_triangle[entry], sample + part.start
-            turns_there = corners.is_tangent_to(corner, places.x[sample])
-            corner, sample = corner[turns_there], sample[turns_there]
-            seen = visibility.table.sees(corner, places.x[sample])
-            pairs.append(np.stack([sample[seen], corner[seen]]))
+            pair = np.stack([sample + part.start, corner_of_entry[entry]])
+            pair = pair[:, corners.is_tangent_to(pair[1], places.x[pair[0]])]
+            pairs.append(pair[:, visibility.table.sees(pair[1], places.x[pair[0]])])
         sample, corner = np.concatenate(pairs, axis=1)
         first = np.flatnonzero(np.append(True, sample[1:] != sample[:-1])[: len(sample)])
         length = np.linalg.norm(x[sampled[sample]] - corners.points[corner], axis=1)
@@ -82,14 +81,25 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, " corners"]
     ) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
-        # ``vertex``: 1 + the index of the corner where the path turns first; 0: straight; -1: no path.
+        """Return each sample's distance to a goal (``inf``: no path), and where its shortest path turns first.
+
+        Args:
+            goal: The goal.
+            view: The goal's visibility polygon.
+            corner_distances: The distance of each corner to the goal.
+
+        Returns:
+            Distances, and vertices: 1 + the corner's index; 0 if the path is straight; -1 without a path or sample.
+        """
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
+        # 1. Paths by corners. Of equally short ones, the first corner of the list is assigned last, and stays.
         if len(self.first):
             length = corner_distances[self.corner] + self.length
             distance[self.box] = np.minimum.reduceat(length, self.first)
             counts = np.diff(self.first, append=len(length))
             shortest = np.flatnonzero((length == np.repeat(distance[self.box], counts)) & np.isfinite(length))[::-1]
             vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
+        # 2. Straight paths, which are shorter, replace them.
         lo, hi = _view_box(view)
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
         direct = self.sampled[near[view.sees(np.zeros(len(near), int), self.placed[near])]]
@@ -98,6 +108,7 @@ class FamilySamples:
 
 
 def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Return the corners of a box around the visibility polygon: around the viewpoint and the edges it sees."""
     ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
     return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
@@ -118,17 +129,20 @@ class FamilyCells:
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
         """Cut free space into convex pieces, box by box; a box that no wall reaches into is one piece."""
+        # 1. Cut all triangles into parts, sorted by box: the triangle of part ``i`` is ``part[i]``.
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
+        # 2. Make one piece of all parts of a free box, and of each part of the others.
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
         is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
         first_part = np.flatnonzero(~is_free | np.append(True, box[1:] != box[:-1])[: len(box)])
-        pieces, triangle, is_free = pieces[:, first_part], part[first_part], is_free[first_part]
-        box = box[first_part]
+        pieces, triangle, is_free, box = pieces[:, first_part], part[first_part], is_free[first_part], box[first_part]
         pieces[:, is_free], triangle[is_free] = boxes_as_pieces(lo[box[is_free]], hi[box[is_free]]), -1
+        first_piece = np.searchsorted(box, np.arange(len(lo) + 1))
+        # 3. List what corners see.
         sight, lists = corner_sight(visibility, triangulation), turns_by_triangle(visibility, triangulation)
-        first_piece, first_part = np.searchsorted(box, np.arange(len(lo) + 1)), np.append(first_part, len(part))
-        return FamilyCells(sight, lists, first_piece, pieces, triangle, centers(pieces), first_part, part)
+        rows = first_piece, pieces, triangle, centers(pieces), np.append(first_part, len(part)), part
+        return FamilyCells(sight, lists, *rows)
 
 
 class FamilyGoal(NamedTuple):
@@ -142,61 +156,77 @@ class FamilyGoal(NamedTuple):
 def cells_of_goals(
     shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
 ) -> CellSources:
-    # Cell ``i`` is box ``box[i]``, for paths to goal ``goal_of[i]``.
-    sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
-    sources, table = sight.sources, sight.shadows.table
+    """Return pieces of boxes with their sources: cell ``i`` is box ``box[i]``, for paths to ``goals[goal_of[i]]``.
+
+    Source ``g * count`` is goal ``g``, and source ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``, with
+    ``count`` 1 more than the number of corners.
+    """
+    sight = _sight_of_goals(shared.sight, corners, goals)
+    count, num_sources = 1 + len(corners.points), len(sight.sources.points)
     rows, cell = take_ragged(shared.first_piece, box)
     goal, pieces = goal_of[cell], shared.pieces[:, rows]
-    # 1. List, for each triangle and goal, the corners where paths to the goal turn, around the side in the list.
+    # 1. List, for each goal and triangle, the corners where paths to the goal turn. `shared.lists` has turn points
+    #    2 c + side, and paths to one goal turn around corner c to one side: side 1 if they pass the opening wall.
+    #    Then the second normal of the turn point's cone is the left normal of that wall. Triangle t of goal g has the
+    #    corners vertex[first[g * num_triangles + t] : first[g * num_triangles + t + 1]] - 1.
     first, turns = shared.lists
+    num_triangles = len(first) - 1
     firsts, vertices = [np.zeros(1, np.int64)], []
     for of_goal in goals:
-        vertex, turns_here = of_goal.turns.vertex - 1, np.zeros(2 * len(corners.points), bool)
-        side = (of_goal.turns.normal[1] == turned_left(corners.walls[0, vertex])).all(axis=1)
-        turns_here[2 * vertex + side] = True
-        is_turn = turns_here[turns]
+        corner = of_goal.turns.vertex - 1
+        side = (of_goal.turns.normal[1] == turned_left(corners.walls[0, corner])).all(axis=1)
+        is_turn_point = np.zeros(2 * len(corners.points), bool)
+        is_turn_point[2 * corner + side] = True
+        is_turn = is_turn_point[turns]
         firsts.append(firsts[-1][-1] + np.append(0, np.cumsum(is_turn))[first[1:]])
         vertices.append(1 + (turns[is_turn] >> 1))
     first, vertex = np.concatenate(firsts), np.concatenate(vertices)
     # 2. Pair pieces with the goal if it may see them, and with the corners in the lists of their triangles around
-    #    which paths from the piece may bend.
+    #    which paths from the piece may bend. A source may be in the lists of several triangles of a piece.
     lo, hi = np.stack([_view_box(of_goal.view) for of_goal in goals], axis=1)[:, goal]
-    near_goal = [(highest(x) >= lo[:, i]) & (lowest(x) <= hi[:, i]) for i, x in enumerate(pieces)]
-    is_near = near_goal[0] & near_goal[1]
+    is_near = np.logical_and(*((highest(x) >= lo[:, i]) & (lowest(x) <= hi[:, i]) for i, x in enumerate(pieces)))
     part, piece = take_ragged(shared.first_part, rows)
-    part = goal[piece] * (len(shared.lists[0]) - 1) + shared.part[part]
+    list_of_part = goal[piece] * num_triangles + shared.part[part]
     keys = [np.zeros(0, np.int64)]
-    for some in parts(first[part + 1] - first[part], _CANDIDATES):
-        entry, run = take_ragged(first, part[some])
-        near = piece[some][is_near[piece[some]]]
-        owner, source = np.append(near, piece[some][run]), np.append(0 * near, vertex[entry])
-        source += goal[owner] * count
+    for batch in parts(first[list_of_part + 1] - first[list_of_part], _CANDIDATES):
+        entry, run = take_ragged(first, list_of_part[batch])
+        near = piece[batch][is_near[piece[batch]]]
+        owner = np.append(near, piece[batch][run])
+        source = np.append(0 * near, vertex[entry]) + goal[owner] * count
         pairs = np.flatnonzero(sight.may_bend(pieces[:, owner], source))
-        keys.append(owner[pairs] * np.int64(len(sources.points)) + source[pairs])
-    key = np.sort(np.concatenate(keys))  # a source may be in the lists of several triangles of a piece
-    piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], len(sources.points))
-    # 3. Test what the sources see, once for all goals.
-    view, num_views = sight.view[source], len(table.points)
-    key, index = np.unique(rows[piece] * num_views + view, return_inverse=True)
+        keys.append(owner[pairs] * np.int64(num_sources) + source[pairs])
+    key = np.sort(np.concatenate(keys))
+    piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], num_sources)
+    # 3. Test what viewpoints see, once for all goals: a piece and a corner are the same for each of them.
+    num_views = len(sight.shadows.table.points)
+    key, index = np.unique(rows[piece] * num_views + sight.view[source], return_inverse=True)
     row, view = np.divmod(key, num_views)
     seen, is_whole = (flags[index] for flags in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
-    keep, triangle = seen | ~is_whole, shared.triangle[rows]
-    piece, source, by_all, by_center = piece[keep], source[keep], (seen & is_whole)[keep], seen[keep]
-    unknown = np.full(len(cell), np.inf), 0 * cell
-    cells = CellSources(sight, len(box), cell, pieces, triangle, shared.center[rows], *unknown, piece, source, by_all)
-    return cells.prune_dominated(np.ones(len(cell), bool), by_center)
+    # 4. Keep pairs unless the source sees nothing of the piece, and drop the sources through which no path is
+    #    shorter.
+    keep = seen | ~is_whole
+    pairs = piece[keep], source[keep], (seen & is_whole)[keep]
+    of_pieces = pieces, shared.triangle[rows], shared.center[rows], np.full(len(cell), np.inf), 0 * cell
+    cells = CellSources(sight, len(box), cell, *of_pieces, *pairs)
+    return cells.prune_dominated(np.ones(len(cell), bool), seen[keep])
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
     """Join the sources and turns of several goals, one goal after the other, with what corners see."""
     num, count = len(goals), 1 + len(corners.points)
-    tables, shadows = joined_tables([goal.view for goal in goals]), sight.shadows
-    table, of_goals = joined_tables([tables, shadows.table]), Shadows.of(tables)
-    key, unit, start, end = concatenated((of_goals, shadows), "key", "unit", "start", "end")
+    # 1. Viewpoints are all goals, then all corners. Keys begin with 4 times the viewpoint's index.
+    goal_table = joined_tables([goal.view for goal in goals])
+    of_goals, of_corners = Shadows.of(goal_table), sight.shadows
+    key, unit, start, end = concatenated((of_goals, of_corners), "key", "unit", "start", "end")
     key[len(of_goals.key) :] += 4.0 * num
-    # Views are those of the goals, then those of the corners.
+    shadows = Shadows(joined_tables([goal_table, of_corners.table]), key, unit, start, end)
+    # 2. Each goal has a row of sources, the goal and all corners. Find their viewpoints.
     view = np.tile(num - 1 + np.arange(count), (num, 1))
     view[:, 0] = np.arange(num)
+    points, distances, parents = concatenated([goal.sources for goal in goals], "points", "distances", "parents")
+    parents += np.repeat(count * np.arange(num), count)
+    sources = Sources(points, distances, parents)
+    # 3. Find the turn points of sources, which lie goal by goal.
     first = np.cumsum([0, *(len(goal.turns.vertex) for goal in goals)])
     turn = np.full((num, count), first[-1] - 1)  # also of corners that no path turns at, which are never tested
     turn[:, 0] = -1
@@ -205,7 +235,4 @@ def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[Family
     vertex, at, distance = concatenated([goal.turns for goal in goals], "vertex", "points", "distance")
     normal = np.concatenate([goal.turns.normal for goal in goals], axis=1)
     turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
-    points, distances, parents = concatenated([goal.sources for goal in goals], "points", "distances", "parents")
-    parents += np.repeat(count * np.arange(num), count)
-    sources, shadows = Sources(points, distances, parents), Shadows(table, key, unit, start, end)
     return Sight(sources, view.ravel(), turn.ravel(), shadows, turns, sight.triangulation, True)

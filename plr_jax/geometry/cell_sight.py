@@ -14,28 +14,17 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import concatenated, parts, ragged_indices, take_ragged
 from plr_jax._types import Sources
+from plr_jax.geometry import convex_pieces
 from plr_jax.geometry.boundary import grid_at
-from plr_jax.geometry.convex_pieces import (
-    Pieces,
-    Vectors,
-    areas,
-    boxes_as_pieces,
-    centers,
-    clip,
-    clip_to_boxes,
-    contain,
-    difference_of_cones,
-    highest,
-    lowest,
-    next_corner,
-)
+from plr_jax.geometry.convex_pieces import Pieces, Vectors, highest, lowest, next_corner
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, TurnRegions, views_by_triangle
 from plr_jax.geometry.triangulation import TriangleLists, Triangulation
-from plr_jax.geometry.vectors import pseudo_angle, turned_left
+from plr_jax.geometry.vectors import cross_product, pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
 _CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
 _OF_PIECES = "cell", "triangle", "center", "distance", "best"  # fields of `CellSources` with one row per piece
+_OF_PAIRS = "piece", "source", "by_all"  # fields of `CellSources` with one row per pair of a piece and a source
 OfPieces: TypeAlias = Bool[np.ndarray, " pieces"]
 Indices: TypeAlias = Int[np.ndarray, " pieces"]
 Rows: TypeAlias = Int[np.ndarray, " cells"]
@@ -52,81 +41,107 @@ class Shadows:
         viewpoint . - - - - - corner =============|       The viewpoint sees points above the shadow (=), but not
                              /                    | wall  points below it, behind the obstacle.
                    obstacle /                     |
+
+    A shadow leads from the nearer to the farther one of the walls seen on both sides of the ray. It starts at the
+    viewpoint if this does not look to one side of the ray.
     """
 
     table: VisibilityTable
     key: Float[np.ndarray, " shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
     unit: Float[np.ndarray, "shadows 2"]  # direction
-    start: Float[np.ndarray, " shadows"]  # distance from the viewpoint
-    end: Float[np.ndarray, " shadows"]
+    start: Float[np.ndarray, " shadows"]  # distance of each shadow's start from the viewpoint
+    end: Float[np.ndarray, " shadows"]  # distance of its end
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
         """Find the shadows of all viewpoints of a table."""
+        # 1. The first interval of each viewpoint starts at the cut, every other one at a vertex. Find unit vectors
+        #    towards these vertices.
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
-        row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
+        row = 1 + np.flatnonzero(view[1:] == view[:-1])
         view = view[row]
-        # 1. Unit vectors towards the vertices at which intervals start.
         unit = table.boundary.vertices[table.vertex[row]] - table.points[view]
-        length = np.linalg.norm(unit, axis=1)
-        unit /= length[:, None]
-        # 2. Distance along each direction to the walls of both adjacent intervals; 0 without a wall.
-        reach = []
+        vertex_distance = np.linalg.norm(unit, axis=1)
+        unit /= vertex_distance[:, None]
+        # 2. Find the distance along each unit vector u to the walls of the intervals before and after the vertex.
+        #    From viewpoint p, it is (n . p - d) / (-n . u) to the line n . x = d of a wall. It is the distance of the
+        #    vertex for a wall that ends there, and 0 where the viewpoint does not look.
+        wall_distances = []
         for edge in (table.edge[row - 1], table.edge[row]):
             normal = table.boundary.normal[edge]
             height = (normal * table.points[view]).sum(axis=1) - table.boundary.offset[edge]
-            toward = -(normal * unit).sum(axis=1)
+            approach = -(normal * unit).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
-                at = np.where(edge < 0, 0.0, np.maximum(height, 0) / np.maximum(toward, 0))
-            ends = (table.boundary.edges[edge] == table.vertex[row, None]).any(axis=1) & (edge >= 0)
-            reach.append(np.where(ends, length, at))
-        start, end = np.minimum(*reach), np.maximum(*reach)
+                line_distance = np.where(edge < 0, 0.0, np.maximum(height, 0) / np.maximum(approach, 0))
+            is_end = (table.boundary.edges[edge] == table.vertex[row, None]).any(axis=1) & (edge >= 0)
+            wall_distances.append(np.where(is_end, vertex_distance, line_distance))
+        start, end = np.minimum(*wall_distances), np.maximum(*wall_distances)
         long = np.flatnonzero(end - start > grid_at(table.tolerance))
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        # A viewpoint sees all or nothing of a piece if no shadow crosses the piece.
+        """Return whether viewpoints see the centers of convex pieces, and whether the same holds for whole pieces.
+
+        Piece ``i``, with a point ``center[i]`` inside, is tested for viewpoint ``view[i]``. The viewpoint sees all or
+        nothing of the piece if no shadow crosses the piece.
+        """
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
-        seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
-        # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
-        dx = pieces[0] - self.table.points[view, 0, None]
-        dy = pieces[1] - self.table.points[view, 1, None]
+        # 1. Find the range of keys strictly inside each piece. Keys of one viewpoint run from 0 to 4,
+        #    counterclockwise from the cut. As seen from outside, a piece spans less than half a turn, which is 2. So
+        #    a larger difference of its corners' keys means that the cut passes through the piece:
+        #      0 ----- first ===== last ----- 4      the cut is outside of the piece: one range
+        #      0 == last - 4 ------- first == 4      `wraps`: keys above `first`, and keys below `last - 4`
+        #    Each end moves inward by `blur`, the angle of one grid step, so that shadows that only touch the piece do
+        #    not count. If no key below 4 is left then, the piece lies after the cut, and nothing wraps.
+        dx = pieces[0] - point[:, 0, None]
+        dy = pieces[1] - point[:, 1, None]
         cx, cy = self.table.cut[view].T[:, :, None]
         key = pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         distance = np.sqrt(dx * dx + dy * dy)
-        blur = grid / np.maximum(distance, grid)
-        apart = distance > grid
-        wraps = highest(np.where(apart, key, -np.inf)) - lowest(np.where(apart, key, np.inf)) > 2
+        is_apart = distance > grid  # a corner at the viewpoint has no direction
+        wraps = highest(np.where(is_apart, key, -np.inf)) - lowest(np.where(is_apart, key, np.inf)) > 2
         key += np.where(wraps[:, None] & (key < 2), 4.0, 0.0)
-        first = lowest(np.where(apart, key + blur, np.inf))
-        last = highest(np.where(apart, key - blur, -np.inf))
-        beyond = np.where(first >= 4, 4.0, 0.0)
-        first, last, wraps = first - beyond, last - beyond, wraps & (first < 4)
-        # 2. Look up the shadows with such keys, unless the piece contains its viewpoint.
-        outside = np.flatnonzero(~contain(pieces, point[:, None], grid)[:, 0])
-        wrapped = outside[wraps[outside]]  # a range that contains the cut is looked up in two parts
-        begin = 4.0 * view[np.concatenate([outside, wrapped])]
-        end = begin + np.concatenate([np.where(wraps, 4.0, last)[outside], last[wrapped] - 4])
-        begin[: len(outside)] += first[outside]
-        low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
+        blur = grid / np.maximum(distance, grid)
+        first = lowest(np.where(is_apart, key + blur, np.inf))
+        last = highest(np.where(is_apart, key - blur, -np.inf))
+        wraps &= first < 4
+        shift = np.where(first >= 4, 4.0, 0.0)
+        first, last = first - shift, last - shift
+        # 2. Look up the shadows in these ranges, two for a piece that wraps. A viewpoint in a piece sees all of it.
+        outside = np.flatnonzero(~convex_pieces.contain(pieces, point[:, None], grid)[:, 0])
+        wrapped = outside[wraps[outside]]
+        piece_of_range = np.concatenate([outside, wrapped])
+        begin = np.concatenate([first[outside], np.zeros(len(wrapped))])
+        end = np.concatenate([np.where(wraps, 4.0, last)[outside], last[wrapped] - 4])
+        low = np.searchsorted(self.key, 4.0 * view[piece_of_range] + begin, side="right")
+        high = np.searchsorted(self.key, 4.0 * view[piece_of_range] + end, side="left")
         run, place = ragged_indices(np.maximum(high - low, 0))
-        shadow, owner = low[run] + place, np.concatenate([outside, wrapped])[run]
-        # 3. A shadow crosses a piece if it contains the middle of the chord that its ray cuts out.
+        shadow, piece = low[run] + place, piece_of_range[run]
+        # 3. A shadow crosses a piece if the shadow contains the middle of the chord that its ray cuts out of the
+        #    piece. A corner at offset d from the viewpoint lies u . d along the ray and u x d beside it. An edge of
+        #    the piece meets the ray's line where the offset beside it changes its sign.
         ux, uy = self.unit[shadow].T[:, :, None]
-        dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
+        dx, dy = dx[piece], dy[piece]
         along, beside = ux * dx + uy * dy, ux * dy - uy * dx
-        next_along, next_beside = next_corner(along), next_corner(beside)
-        crosses = (beside >= 0) != (next_beside >= 0)
-        fraction = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
-        at = along + fraction * (next_along - along)
-        near, far = lowest(np.where(crosses, at, np.inf)), highest(np.where(crosses, at, -1.0))
+        next_beside = next_corner(beside)
+        is_met = (beside >= 0) != (next_beside >= 0)
+        fraction = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=is_met)
+        met = along + fraction * (next_corner(along) - along)
+        near, far = lowest(np.where(is_met, met, np.inf)), highest(np.where(is_met, met, -1.0))
         middle = np.where(far > 0, (near + far) / 2, np.inf)
-        is_whole[owner[(self.start[shadow] < middle) & (middle < self.end[shadow])]] = False
-        return seen, is_whole
+        is_whole = np.ones(len(view), bool)
+        is_whole[piece[(self.start[shadow] < middle) & (middle < self.end[shadow])]] = False
+        return self.table.sees(view, center), is_whole
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
     """Return turn points ``2 * c`` and ``2 * c + 1`` of each corner ``c``: the two ways to bend around the corner."""
+    #              .   side 1          A path around the corner goes from one cone into the other. The cone of
+    #              .                   side 1 is left of both walls' lines, the cone of side 0 is right of both.
+    #     . . . . .c=== opening wall   Free space is counterclockwise from the opening to the closing wall.
+    #              |####
+    #     side 0   |# obstacle
+    #           closing wall
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -134,8 +149,9 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
-    # Indices ``2 * c`` and ``2 * c + 1`` are the two ways to bend around corner ``c``.
-    visits, (right, left) = [], turns_by_side(visibility.corners).bounds
+    """List, for each triangle, the turn points of :func:`turns_by_side` that see a part of it in their cone."""
+    visits = []
+    right, left = turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
         visits.append(np.stack([2 * view + side, triangle]))
@@ -144,33 +160,35 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The goals and corners to which shortest paths may go first, and data to test this for a convex piece."""
+    """The goals and corners to which shortest paths may go first (*sources*), and data to test them.
+
+    The data decide which sources see a convex piece of free space, and at which paths from the piece may turn.
+    """
 
     sources: Sources
     view: Int[np.ndarray, " sources"]  # index of each source in the visibility table
-    turn: Int[np.ndarray, " sources"]  # its index in turns, -1 for a goal
-    shadows: Shadows
+    turn: Int[np.ndarray, " sources"]  # index of each source in `turns`, -1 for a goal
+    shadows: Shadows  # with the visibility table
     turns: TurnPoints
     triangulation: Triangulation
-    has_goal: bool
-
-    @cached_property
-    def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
-        return (self.triangulation.wall >= 0).reshape(-1, 3)
+    has_goal: bool  # whether the sources have distances to a goal
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
         """Return whether a part of each piece may lie in its source's cone of :class:`TurnPoints`; True for a goal.
 
         With ``from_all``, return whether all of the piece lies in the cone.
         """
-        turn = self.turn[source]
-        may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
-        turn, (x, y) = turn[corner], pieces[:, corner]
+        # The cone of turn point p is n . x >= n . p for its two normals n. The extremes of n . x are at the piece's
+        # corners. Both normals are tested on their own, so a piece that passes may still miss the cone.
+        may_bend = np.ones(len(source), bool)
+        row = np.flatnonzero(self.turn[source] >= 0)
+        turn = self.turn[source[row]]
+        x, y = pieces[:, row]
         extreme, slack = (lowest, 0.0) if from_all else (highest, self.turns.slack)
         for normal in self.turns.normal[:, turn]:
             height = extreme(x * normal[:, :1] + y * normal[:, 1:])
-            may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - slack
-        return may
+            may_bend[row] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - slack
+        return may_bend
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,18 +216,24 @@ class CellSources:
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
         """Find the convex pieces of free space in boxes; ``lists`` has possible sources by triangle of free space."""
-        first, source = lists
+        # 1. Cut triangles into the pieces of cells.
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
-        pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
+        pieces, cell, triangle = convex_pieces.clip_to_boxes(triangles, lo, hi)
+        # 2. Give each piece the possible sources of its triangle, and drop those that it does not need, chunk by
+        #    chunk.
+        first, source = lists
         chunks = []
-        for chunk in parts(np.diff(first)[triangle], _CHUNK) or [slice(0, 0)]:
+        for chunk in parts(np.diff(first)[triangle], _CHUNK):
+            part = pieces[:, chunk]
+            count = part.shape[1]
+            unknown = np.full(count, np.inf), np.zeros(count, int)
             entry, piece = take_ragged(first, triangle[chunk])
-            count, part = len(cell[chunk]), pieces[:, chunk]
-            unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
+            pairs = piece, source[entry], np.zeros(len(piece), bool)
             # With ``num_cells=0``, `append` leaves the indices of cells as they are.
-            cells = cls(sight, 0, cell[chunk], part, triangle[chunk], centers(part), *unknown)
+            cells = cls(sight, 0, cell[chunk], part, triangle[chunk], convex_pieces.centers(part), *unknown, *pairs)
             chunks.append(cells.prune_sources(np.ones(count, bool)))
         cells = replace(chunks[0].append(*chunks[1:]), num_cells=len(lo))
+        # 3. Merge the pieces of cells without walls.
         return cells.merge_free_boxes(np.zeros(len(cells.cell), bool), lo, hi)
 
     @property
@@ -222,12 +246,15 @@ class CellSources:
         return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, " n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        return contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
+        """Return whether piece ``piece[i]`` contains each of the points ``points[i]``, to the tolerance."""
+        return convex_pieces.contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
 
     def see(self, source: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Return whether source ``source[i]`` sees ``points[i]``."""
         return self.sight.shadows.table.sees(self.sight.view[source], points)
 
     def pieces_as_cells(self, rows: Int[np.ndarray, " some"]) -> Self:
+        """Return the pieces ``rows``, each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
@@ -239,10 +266,12 @@ class CellSources:
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, " some"]) -> Self:
+        """Return the cells ``cells``, in this order, numbered from 0."""
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, " some"]) -> Self:
+        """Return the pieces ``rows``, in this order; the caller must renumber ``cell`` unless it stays ascending."""
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = take_ragged(self.first_pair, rows)
@@ -250,105 +279,146 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, " some"] | Bool[np.ndarray, " pairs"]) -> Self:
-        return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
+        """Return all pieces with only the pairs ``pairs`` of a piece and a source."""
+        return replace(self, **{name: getattr(self, name)[pairs] for name in _OF_PAIRS})
 
     def append(self, *others: Self) -> Self:
-        several, names = (self, *others), (*_OF_PIECES, "piece", "source", "by_all")
-        columns = dict(zip(names, concatenated(several, *names), strict=True))
+        """Return the cells of this object, then those of the others."""
+        several = self, *others
+        columns = {name: concatenated(several, name)[0] for name in (*_OF_PIECES, *_OF_PAIRS)}
         pieces = np.concatenate([group.pieces for group in several], axis=1)
         # Shift the indices of cells and pieces by the numbers in the preceding objects.
-        for name, counts in (("cell", [e.num_cells for e in several]), ("piece", [len(e.cell) for e in several])):
-            columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(group, name)) for group in several])
-        return replace(self, num_cells=sum(group.num_cells for group in several), pieces=pieces, **columns)
+        sizes = [(group.num_cells, len(group.cell), len(group.piece)) for group in several]
+        num_cells, num_pieces, num_pairs = np.array(sizes).T
+        columns["cell"] += np.repeat(np.cumsum(num_cells) - num_cells, num_pieces)
+        columns["piece"] += np.repeat(np.cumsum(num_pieces) - num_pieces, num_pairs)
+        return replace(self, num_cells=int(num_cells.sum()), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
-        # Part ``i`` is the box ``lo[i]`` to ``hi[i]``, on one side of a cut of cell ``parent[i]`` across ``axis[i]``.
+        """Return parts of cells as cells, with centers, distances and sources.
+
+        Part ``i`` is the box ``lo[i]`` to ``hi[i]``: cell ``parent[i]`` above (``is_upper``) or below a cut across
+        ``axis[i]``.
+        """
+        # 1. Compute the signed distances of the corners of pieces from the cut, positive in the part.
         rows, cell = take_ragged(self.first_piece, parent)
-        along, upper = axis[cell], is_upper[cell]
-        cut = np.where(upper, lo[cell, along], hi[cell, along])
-        height = (self.pieces[along, rows] - cut[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
+        along = axis[cell]
+        cut = np.where(is_upper[cell], lo[cell, along], hi[cell, along])
+        height = (self.pieces[along, rows] - cut[:, None]) * np.where(is_upper[cell], 1.0, -1.0)[:, None]
+        # 2. Drop the pieces outside of the part, and clip the pieces that the cut crosses.
         reaches = np.flatnonzero(highest(height) > 0)
         rows, cell, height = rows[reaches], cell[reaches], height[reaches]
         pieces, is_cut = self.pieces[:, rows], lowest(height) < 0
-        pieces[:, is_cut] = clip(pieces[:, is_cut], height[is_cut])
+        pieces[:, is_cut] = convex_pieces.clip(pieces[:, is_cut], height[is_cut])
+        # 3. Merge the pieces of parts without walls, and prune the sources of changed pieces.
         part = replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
         return part.merge_free_boxes(is_cut, lo, hi)
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        # Then prune the sources of merged and of changed pieces.
+        """Replace the pieces of each cell without walls by one, the whole box, and drop pieces without area.
+
+        Then prune the sources of merged pieces and of ``changed`` ones. Cell ``i`` is the box ``lo[i]`` to ``hi[i]``.
+        """
+        # 1. Find the walls of cells with several pieces. All these pieces are parts of triangles (`triangle` >= 0),
+        #    and walls in the cell are sides of these triangles. Wall ``i`` belongs to cell ``cells[index[i]]``.
         cells = np.flatnonzero(np.diff(self.first_piece) > 1)
         rows, index = take_ragged(self.first_piece, cells)
-        row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
+        row, side = np.nonzero(self.sight.triangulation.wall.reshape(-1, 3)[self.triangle[rows]] >= 0)
         triangle, index = self.triangle[rows[row]], index[row]
         start, end = (self.sight.triangulation.triangles[triangle, corner] for corner in (side, (side + 1) % 3))
-        # Separating axis test of walls and boxes. Walls in a box are sides of the triangles of its pieces.
-        from_middle, half = (start + end) / 2 - ((lo + hi) / 2)[cells[index]], ((hi - lo) / 2)[cells[index]]
-        along = np.abs(end - start) / 2
-        beside = np.abs(from_middle[:, 0] * (end - start)[:, 1] - from_middle[:, 1] * (end - start)[:, 0])
-        meets = (np.abs(from_middle) < half + along).all(axis=1) & (beside < 2 * (along * half[:, ::-1]).sum(axis=1))
+        # 2. Test whether a wall enters the cell's box. Separating axes of a box and a segment are x, y and the
+        #    segment's normal. Let m be the vector from the box's center to the segment's, and h and s half the widths
+        #    of box and segment. Both overlap along x and y if |m| < h + s in each coordinate. They overlap along the
+        #    normal (y, -x) of the segment's vector (x, y) if |m x (x, y)| < h_x |y| + h_y |x|, where |x| = 2 s_x.
+        vector = end - start
+        offset = (start + end) / 2 - ((lo + hi) / 2)[cells[index]]
+        half_box = ((hi - lo) / 2)[cells[index]]
+        half_wall = np.abs(vector) / 2
+        enters = (np.abs(offset) < half_box + half_wall).all(axis=1)
+        enters &= np.abs(cross_product(offset, vector)) < 2 * (half_wall * half_box[:, ::-1]).sum(axis=1)
         is_free = np.zeros(self.num_cells, bool)
-        is_free[cells] = ~np.isin(np.arange(len(cells)), index[meets])
+        is_free[cells] = ~np.isin(np.arange(len(cells)), index[enters])
+        # 3. Replace the first piece of each free cell by the box, with the sources of all the cell's pieces. None of
+        #    these sources is known to be visible from all of the box.
         is_merged = is_free[self.cell]
-        is_kept = (areas(self.pieces) > 0) & ~is_merged
+        is_kept = (convex_pieces.areas(self.pieces) > 0) & ~is_merged
         merged = self
         if is_free.any():
-            # The merged piece has the sources of all pieces; none is known to be visible from all of it.
-            owner = np.where(is_merged, self.first_piece[self.cell], np.arange(len(is_kept)))
-            keys = owner[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
-            pieces, triangle = self.pieces.copy(), self.triangle.copy()
             whole = self.first_piece[:-1][is_free]
-            pieces[:, whole], triangle[whole], is_kept[whole] = boxes_as_pieces(lo[is_free], hi[is_free]), -1, True
+            is_kept[whole] = True
+            pieces, triangle = self.pieces.copy(), self.triangle.copy()
+            pieces[:, whole], triangle[whole] = convex_pieces.boxes_as_pieces(lo[is_free], hi[is_free]), -1
+            target = np.where(is_merged, self.first_piece[self.cell], np.arange(len(is_kept)))  # new piece of each
+            keys = target[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
             merged = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
-            merged = replace(merged, piece=owner[merged.piece], by_all=merged.by_all & ~is_merged[merged.piece])
+            merged = replace(merged, piece=target[merged.piece], by_all=merged.by_all & ~is_merged[merged.piece])
+        # 4. Drop pieces without area and merged ones, and prune the sources of the others.
         kept = np.flatnonzero(is_kept)
-        return replace(merged.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
+        return merged.of_pieces(kept).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        # 1. Compute the centers of changed pieces. Paths straight to the old centers bound their distances.
-        center, has_goal = self.center.copy(), self.sight.has_goal
-        center[changed] = centers(self.pieces[:, changed])
+        """Drop the sources of changed pieces that no point of a piece sees, or at which no path from it turns."""
+        # 1. Compute the centers of changed pieces. A path straight to the old center bounds the distance of the new.
+        has_goal = self.sight.has_goal
+        center = self.center.copy()
+        center[changed] = convex_pieces.centers(self.pieces[:, changed])
         moved = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
-        # 2. Test whether the center or all of a piece sees a source. What is not tested counts as seen by the center.
+        # 2. Test pairs of changed pieces and sources:                    keep             by_center    by_all
+        #      of an unchanged piece (not tested)                         True             True         as before
+        #      all of the piece is known to see the source, and there
+        #        is a goal (not tested: `prune_dominated` decides)        True             True         True
+        #      no path from the piece can turn at the source              False            False        as before
+        #      all of the piece is known to see the source (no goal)      True             not used     True
+        #      others                                                     seen | ~whole    seen         seen & whole
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
-        keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
-        by_center[pairs], keep[pairs] = by_all[pairs], bends
-        pairs = pairs[bends & ~by_all[pairs]]
+        keep, by_center = np.ones((2, len(self.piece)), bool)
+        keep[pairs], by_center[pairs] = bends, False
+        pairs = pairs[bends & ~self.by_all[pairs]]
         piece, view = self.piece[pairs], self.sight.view[self.source[pairs]]
         seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], center[piece])
-        by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
+        by_all = self.by_all.copy()
+        keep[pairs], by_center[pairs], by_all[pairs] = seen | ~is_whole, seen, seen & is_whole
         if not has_goal:
             return replace(moved, by_all=by_all).of_pairs(keep)
-        # Far from the origin, rounding may remove all sources of a very thin piece; it then keeps what it had.
+        # 3. Far from the origin, rounding may remove all sources of a very thin piece; it then keeps what it had.
         keep |= (np.bincount(moved.piece[keep], minlength=len(changed)) == 0)[moved.piece]
         return replace(moved, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
-        """Find the best source of each changed piece, and drop the sources through which no path is shorter."""
-        sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
-        # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
+        """Find the best source of each changed piece, and drop the sources through which no path is shorter.
+
+        ``by_center`` says whether the center of a pair's piece sees its source. Pieces without a path are dropped.
+        """
+        # 1. Find the best source s of each center c, with the least distances[s] + |c - points[s]|; ties prefer
+        #    sources that all of the piece sees.
+        sources = self.sources
+        pairs = np.flatnonzero(changed[self.piece] & by_center)
         piece, source = self.piece[pairs], self.source[pairs]
         length = sources.distances[source] + np.linalg.norm(self.center[piece] - sources.points[source], axis=1)
         order = np.lexsort((source, ~self.by_all[pairs], length, piece))
-        order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
+        order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])[: len(order)]]  # each piece's first pair
         best_pair, distance, best = np.full(len(changed), -1), self.distance.copy(), self.best.copy()
         for of_piece, values in ((best_pair, pairs), (distance, length), (best, source)):
             of_piece[piece[order]] = values[order]
-        # 2. Compare other sources with the best one if all of the piece sees it, else with paths through the center.
-        by_best = np.append(self.by_all, False)[best_pair]
-        several = np.bincount(self.piece, minlength=len(changed)) > 1
-        rivals = np.flatnonzero((changed & several & np.isfinite(distance))[self.piece])
+        # 2. Compare each rival, another source of the piece, with the cone offset + |x - apex| of paths to the best
+        #    source if all of the piece sees it, else with the cone of paths to the center.
+        is_best_seen = np.append(self.by_all, False)[best_pair]  # without a best pair (-1): False
+        has_several = np.bincount(self.piece, minlength=len(changed)) > 1
+        rivals = np.flatnonzero((changed & has_several & np.isfinite(distance))[self.piece])
         rivals = rivals[best_pair[self.piece[rivals]] != rivals]
         piece, source = self.piece[rivals], self.source[rivals]
-        apex = np.where(by_best[piece, None], sources.points[best[piece]], self.center[piece])
-        offset = np.where(by_best, sources.distances[best], distance)[piece]
+        apex = np.where(is_best_seen[piece, None], sources.points[best[piece]], self.center[piece])
+        offset = np.where(is_best_seen, sources.distances[best], distance)[piece]
         cones = sources.points[source], sources.distances[source], apex, offset
-        lowest, _ = difference_of_cones(self.pieces[:, piece], *cones)
+        least_excess, _ = convex_pieces.difference_of_cones(self.pieces[:, piece], *cones)
+        # 3. Drop rivals that are nowhere better. A rival that is better by up to the tolerance is dropped only if
+        #    paths from all parts of the piece can turn at the best source: beside a thin wall, some paths turn at its
+        #    other corner, whose cone is hardly lower.
+        may_turn = is_best_seen & self.sight.may_bend(self.pieces, best, from_all=True)
+        threshold = np.where(may_turn[piece], -self.sight.triangulation.tolerance, 0.0)
         keep = np.isfinite(distance)[self.piece]
-        # Drop a rival that is better by up to the tolerance only if paths from all parts of the piece can turn at the
-        # best source: beside a thin wall, some paths turn at its other corner, whose cone is hardly lower.
-        by_best &= self.sight.may_bend(self.pieces, best, from_all=True)
-        keep[rivals[lowest > np.where(by_best[piece], -self.sight.triangulation.tolerance, 0.0)]] = False
+        keep[rivals[least_excess > threshold]] = False
         pruned = replace(self, distance=distance, best=best).of_pairs(keep)
         return pruned.of_pieces(np.flatnonzero(np.isfinite(distance)))
 
@@ -356,21 +426,24 @@ class CellSources:
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
+    """Return the sight of goals, then corners, whose distances are known; source ``i`` is viewpoint ``i``."""
     index = np.arange(len(sources.points))
     turn = np.full(len(index), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
-    turn[:num_goals], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
+    turn[:num_goals] = -1
+    turn[turns.vertex] = np.arange(len(turns.vertex))
     return Sight(sources, index, turn, Shadows.of(table), turns, triangulation, True)
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
     """List, for each triangle, where paths may go first: all goals, and corners that see a part of the triangle."""
+    # The goals come before the corners of each triangle, so the list of triangle t begins num_goals * t later.
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
     return first + num_goals * np.arange(len(first)), np.insert(turns, np.repeat(first[:-1], num_goals), goals)
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    # Each corner is two sources, one for each way to bend around it.
+    """Return the sight of all corners without a goal: each corner is two sources, those of :func:`turns_by_side`."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)
@@ -379,10 +452,13 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
     """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
-    # The sources of the pieces are entries of ``turns_by_side``.
+    # 1. Unite both sources of a corner, 2 c and 2 c + 1, in pairs (piece, corner). If a piece has both, their
+    #    `by_all` are equal, since they are seen from the same viewpoint.
     count = np.int64(len(cells.sight.turns.points) // 2)
     of_piece, first = np.unique(cells.piece * count + (cells.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)
+    # 2. Unite the pieces of a cell. All of the cell sees a corner if as many pieces as the cell has see it wholly.
     key, index = np.unique(cells.cell[piece] * count + corner, return_inverse=True)
     cell, corner = np.divmod(key, count)
-    return cell, corner, np.bincount(index, cells.by_all[first], len(key)) == np.diff(cells.first_piece)[cell]
+    num_whole = np.bincount(index, cells.by_all[first], len(key))
+    return cell, corner, num_whole == np.diff(cells.first_piece)[cell]

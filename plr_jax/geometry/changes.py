@@ -43,27 +43,32 @@ class Change:
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, " new_edges"]:
+        """Whether each edge of ``new`` was not an edge of ``old``."""
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
         """Return the bounding box of each connected group of changed edges, grown by ``margin``, as four corners."""
+        # 1. Group the ends of edges that are gone or new.
         segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
         points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
         start, end = index.reshape(-1, 2).T
         graph = coo_array((np.ones(len(start)), (start, end)), (len(points),) * 2)
-        num, part = connected_components(graph, directed=False)
-        lo, hi = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
-        np.minimum.at(lo, part, points)
-        np.maximum.at(hi, part, points)
-        ends = zip(lo - margin, hi + margin, strict=True)
-        return [np.array([(a, c), (b, c), (b, d), (a, d)]) for (a, c), (b, d) in ends]
+        num_groups, group = connected_components(graph, directed=False)
+        # 2. Find the bounding box of each group.
+        lo, hi = np.full((num_groups, 2), np.inf), np.full((num_groups, 2), -np.inf)
+        np.minimum.at(lo, group, points)
+        np.maximum.at(hi, group, points)
+        corners = zip(lo - margin, hi + margin, strict=True)
+        return [np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) for (x0, y0), (x1, y1) in corners]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
     """Return the triangulation after a change of walls; None if rounding prevents this and it must be rebuilt."""
-    # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
+    # Dropped triangles leave a gap. It is bounded by walls without a triangle, and by *rims*: half-edges of dropped
+    # triangles whose twins belong to kept ones.
+    # 1. Keep triangles unless they have a wall or a vertex that is gone, or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     is_kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
     segments = change.new.segments[change.is_new]
@@ -72,39 +77,39 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
         polygons = shapely.polygons(old.triangles[near])
         tree = shapely.STRtree(np.asarray(shapely.linestrings(segments)))
         is_kept[near[tree.query(polygons, predicate="dwithin", distance=old.tolerance)[0]]] = False
-    half_kept = np.repeat(is_kept, 3)
+    is_half_kept = np.repeat(is_kept, 3)
+    # 2. Find the walls and rims around the gap, and triangulate it: walls are its first edges, then rims.
+    vertex = change.vertex[old.origin]
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
     has_triangle = np.zeros(len(change.new.edges), bool)
-    has_triangle[wall[half_kept & (wall >= 0)]] = True
-    # 2. Triangulate the gap. It is bounded by walls without a kept triangle, and by sides of kept triangles.
-    vertex = change.vertex[old.origin]
-    rims = np.flatnonzero(~half_kept & (old.twin >= 0) & half_kept[old.twin])
+    has_triangle[wall[is_half_kept & (wall >= 0)]] = True
     walls = np.flatnonzero(~has_triangle)
+    rims = np.flatnonzero(~is_half_kept & (old.twin >= 0) & is_half_kept[old.twin])
     edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[next_half_edge(rims)]], axis=1)])
     if (edges < 0).any():
         return None
-    local, ends = np.unique(edges, return_inverse=True)
+    vertex_of_gap, ends = np.unique(edges, return_inverse=True)
     ends = ends.reshape(-1, 2)
-    gap = Boundary(change.new.vertices[local], ends, np.zeros(len(ends), int))
+    gap = Boundary(change.new.vertices[vertex_of_gap], ends, np.zeros(len(ends), int))
     try:
         fill = triangulation_of(gap, old.tolerance)
     except ValueError:
         return None
     if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):
         return None
-    # 3. Concatenate kept half-edges and those of the gap, and link them along the rims.
-    kept_half = np.flatnonzero(half_kept)
-    new_index = np.full(len(half_kept), -1)
-    new_index[kept_half] = np.arange(len(kept_half))
-    origin = np.concatenate([vertex[kept_half], local[fill.origin]])
-    kept_twin = np.where(old.twin[kept_half] >= 0, new_index[old.twin[kept_half]], -1)
-    twin = np.concatenate([kept_twin, np.where(fill.twin >= 0, fill.twin + len(kept_half), -1)])
-    names = np.append(walls, np.full(len(rims), -1))
-    walls_of_fill = np.where(fill.wall >= 0, names[fill.wall], -1)
-    is_rim = np.flatnonzero(fill.wall >= len(walls))
-    beyond = new_index[old.twin[rims[fill.wall[is_rim] - len(walls)]]]
-    twin[len(kept_half) + is_rim], twin[beyond] = beyond, len(kept_half) + is_rim
-    wall = np.concatenate([wall[kept_half], walls_of_fill])
+    # 3. Number the kept half-edges, then those of the gap.
+    kept = np.flatnonzero(is_half_kept)
+    new_index = np.full(len(is_half_kept), -1)
+    new_index[kept] = np.arange(len(kept))
+    origin = np.concatenate([vertex[kept], vertex_of_gap[fill.origin]])
+    wall_of_edge = np.append(walls, np.full(len(rims), -1))
+    wall = np.concatenate([wall[kept], np.where(fill.wall >= 0, wall_of_edge[fill.wall], -1)])
+    kept_twin = np.where(old.twin[kept] >= 0, new_index[old.twin[kept]], -1)
+    twin = np.concatenate([kept_twin, np.where(fill.twin >= 0, fill.twin + len(kept), -1)])
+    # 4. Link the half-edges of the gap along the rims with the kept ones beyond.
+    along_rim = np.flatnonzero(fill.wall >= len(walls))
+    beyond = new_index[old.twin[rims[fill.wall[along_rim] - len(walls)]]]
+    twin[len(kept) + along_rim], twin[beyond] = beyond, len(kept) + along_rim
     return Triangulation(change.new, old.tolerance, *(column.astype(np.int32) for column in (origin, twin, wall)))
 
 
@@ -112,55 +117,60 @@ def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
     """Return what all corners and the goal see after a change, computed again only where it may differ."""
+    # 1. Match each new corner with the old one at its vertex, if all sectors of both open and close at equal edges:
+    #    `same` is the old corner's index, or -1.
     corners, views = find_corners(workspace)
-    # 1. Match each new corner with an old one between the same walls.
     boundary = change.new
-    of_vertex, is_kept = np.full(len(boundary.vertices), -1), change.vertex >= 0
-    of_vertex[change.vertex[is_kept]] = old.of_vertex[is_kept]
-    before = np.full(len(views.points), -1)
-    before[views.owner] = of_vertex[boundary.edges[views.edge, 0]]
-    # All sectors of both must open and close at equal edges.
-    is_same = np.zeros(len(boundary.edges), bool)
+    is_kept = change.vertex >= 0
+    old_of_vertex = np.full(len(boundary.vertices), -1)
+    old_of_vertex[change.vertex[is_kept]] = old.of_vertex[is_kept]
+    at_vertex = np.full(len(views.points), -1)
+    at_vertex[views.owner] = old_of_vertex[boundary.edges[views.edge, 0]]
     old_edge = np.flatnonzero(change.edge >= 0)
-    end = change.vertex[change.old.sector_end[old_edge]]
-    is_same[change.edge[old_edge]] = boundary.sector_end[change.edge[old_edge]] == end
-    differs = np.zeros(len(views.points), bool)
-    differs[views.owner[~is_same[views.edge]]] = True
-    counts = np.bincount(views.owner, minlength=len(views.points))
-    old_counts = np.bincount(old.views.owner, minlength=len(old.views.points))
-    differs |= counts != np.append(old_counts, 0)[before]
-    same = np.where(differs, -1, before)
-    # 2. Recompute what corners see that may see a change, and what the goal sees if it may.
-    before = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
-    goal_changed = bool(_may_see_change(of_goal[0], change)[0])
-    unchanged, changed = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
+    new_edge = change.edge[old_edge]
+    is_same_sector = np.zeros(len(boundary.edges), bool)
+    is_same_sector[new_edge] = boundary.sector_end[new_edge] == change.vertex[change.old.sector_end[old_edge]]
+    num_sectors = np.bincount(views.owner, minlength=len(views.points))
+    num_old_sectors = np.bincount(old.views.owner, minlength=len(old.views.points))
+    differs = num_sectors != np.append(num_old_sectors, 0)[at_vertex]
+    differs[views.owner[~is_same_sector[views.edge]]] = True
+    same = np.where(differs, -1, at_vertex)
+    # 2. Recompute what new corners see, what corners see that may see a change, and what the goal sees if it may:
+    #    `reused` is the old corner whose visibility polygon is that of the new one, or -1.
+    reused = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
+    is_goal_changed = bool(_may_see_change(of_goal[0], change)[0])
+    unchanged, changed = np.flatnonzero(reused >= 0), np.flatnonzero(reused < 0)
     viewpoints = views[changed]
-    if goal_changed:
+    if is_goal_changed:
         points, owner = np.concatenate([viewpoints.points, goal.points]), goal.owner + len(changed)
         viewpoints = Viewpoints(points, np.append(viewpoints.owner, owner), np.append(viewpoints.edge, goal.edge))
     fresh, (view, vertex) = visibility_of(workspace.triangulation, viewpoints)
-    table = _splice([(old.table, before[unchanged], unchanged), (fresh, np.arange(len(changed)), changed)], change)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
-    goal_table, goal_row = (fresh, len(changed)) if goal_changed else (of_goal[0], 0)
-    now = np.full(len(old.corners.points), -1)
-    now[same[same >= 0]] = np.flatnonzero(same >= 0)
-    goal_corners = seen[view == len(changed)] if goal_changed else now[of_goal[1]]
-    new = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
-    # 3. Keep the edges between unchanged corners; the others involve a recomputed corner.
+    # 3. Join what stays and what is recomputed.
+    table = _splice([(old.table, reused[unchanged], unchanged), (fresh, np.arange(len(changed)), changed)], change)
+    goal_table, goal_row = (fresh, len(changed)) if is_goal_changed else (of_goal[0], 0)
+    new_of_old = np.full(len(old.corners.points), -1)
+    new_of_old[same[same >= 0]] = np.flatnonzero(same >= 0)
+    goal_corners = seen[view == len(changed)] if is_goal_changed else new_of_old[of_goal[1]]
+    new_view = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
+    # 4. Keep the edges between unchanged corners.
     new_index = np.full(len(old.corners.points), -1)
-    new_index[before[unchanged]] = unchanged
+    new_index[reused[unchanged]] = unchanged
     edges = new_index[old.edges]
     edges = edges[(edges >= 0).all(axis=1)]
+    # 5. Add the edges of recomputed corners. They need corners that see one another: look up whether unchanged
+    #    corners see the recomputed ones that see them.
     is_pair = (view < len(changed)) & (seen >= 0)
     view, seen = changed[view[is_pair]], seen[is_pair]
     view, seen = view[view != seen], seen[view != seen]
-    back = np.flatnonzero(before[seen] >= 0)
+    back = np.flatnonzero(reused[seen] >= 0)
     back = back[table.sees(seen[back], corners.points[view[back]])]
     view, seen = np.append(view, seen[back]), np.append(seen, view[back])
     edges = np.concatenate([edges, mutually_visible_pairs(corners, view, seen)])
+    # 6. Sort the edges, as if all had been computed again.
     size = np.int64(max(1, len(corners.points)))
     keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
-    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
+    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new_view
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
@@ -178,16 +188,20 @@ def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, " n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, " n"]:
     """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``; False only if closer walls hide it."""
+    # 1. Find the range of pseudo-angles of each polygon: all directions but the widest gap between its corners. The
+    #    gap is at least half a turn, unless the viewpoint is inside.
+    #      0 ----- first ===== last ----- 4      the cut is outside of the range
+    #      0 ===== last ------ first ==== 4      `wraps`: the range from `first` through the cut to `last`
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
-    away = hull - table.points[view, None]
-    (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
+    dx, dy = np.moveaxis(hull - table.points[view, None], -1, 0)
+    cx, cy = table.cut[view].T[:, :, None]
     angle = np.sort(pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx), axis=1)
-    # The polygon spans all directions but the widest gap between its corners. The gap is at least half a turn, unless
-    # the viewpoint is inside.
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
     rows, widest = np.arange(len(view)), gap.argmax(axis=1)
     first, last = angle[rows, (widest + 1) % angle.shape[1]], angle[rows, widest]
-    is_around, wraps = gap[rows, widest] < _TURN / 2, first > last
+    may_see = gap[rows, widest] < _TURN / 2
+    # 2. Look up the intervals that meet the range, in two parts if it wraps.
+    wraps = first > last
     polygon = np.append(rows, rows[wraps])
     low = np.append(np.where(wraps, 0.0, first), first[wraps])
     high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
@@ -196,23 +210,32 @@ def may_see_polygons(
     end = np.searchsorted(table.key, _TURN * viewpoint + high + table.blur, side="right")
     begin, end = np.maximum(begin, table.first[viewpoint]), np.minimum(end, table.first[viewpoint + 1])
     run, place = ragged_indices(np.maximum(end - begin, 0))
+    # 3. The polygon may be visible if one of its corners lies in front of the nearest wall of such an interval.
     edge, polygon = table.edge[begin[run] + place], polygon[run]
-    normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
-    height = normal[0][:, None] * hull[polygon, :, 0] + normal[1][:, None] * hull[polygon, :, 1]
-    # The polygon may be visible if one of its corners lies in front of a wall in its direction.
-    is_around[polygon[(edge >= 0) & (height.max(axis=1) >= offset)]] = True
-    return is_around
+    nx, ny = table.boundary.normal[edge].T[:, :, None]
+    height = nx * hull[polygon, :, 0] + ny * hull[polygon, :, 1]
+    is_in_front = height.max(axis=1) >= table.boundary.offset[edge] - table.tolerance
+    may_see[polygon[(edge >= 0) & is_in_front]] = True
+    return may_see
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    # Each part is a table, the viewpoints to take from it, and their indices in the result.
-    num = sum(len(views) for _, views, _ in parts)
-    points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
+    """Return a table of viewpoints of several tables, before or after the change.
+
+    Each part is a table, the viewpoints to take from it, and their indices in the result.
+    """
+    # 1. Copy the viewpoints, and find the rows of their intervals in the result.
+    num_views = sum(len(views) for _, views, _ in parts)
+    points, cut = np.empty((2, num_views, 2))
+    counts = np.empty(num_views, int)
     for table, views, place in parts:
         points[place], cut[place] = table.points[views], table.cut[views]
         counts[place] = np.diff(table.first)[views]
     first = np.append(0, np.cumsum(counts))
-    key, edge, vertex = np.empty(first[-1]), *np.empty((2, first[-1]), parts[-1][0].edge.dtype)
+    # 2. Copy the intervals. Keys begin with the index of the viewpoint; edges and vertices before the change (-1:
+    #    none) are numbered as after it.
+    key = np.empty(first[-1])
+    edge, vertex = np.empty((2, first[-1]), parts[-1][0].edge.dtype)
     for table, views, place in parts:
         target, _ = take_ragged(first, place)
         row, run = take_ragged(table.first, views)

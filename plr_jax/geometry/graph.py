@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     import networkx
 
 _CHUNK = 1 << 18  # lengths computed at a time
-# A visibility test of points and candidates for the first vertex of a path from each, both by index.
+# A visibility test: given indices of points and of candidates for the first vertex of a path, return whether each
+# point sees its candidate.
 Sees: TypeAlias = Callable[[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
-FirstVisible: TypeAlias = tuple[
-    Int[np.ndarray, " n"], Float[np.ndarray, " n"]
-]  # candidates, -1 for none; path lengths
+# The candidate of each point, -1 for none, and the length of the path.
+FirstVisible: TypeAlias = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
+VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]  # several for each point
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +40,9 @@ class Graph:
     @cached_property
     def adjacency(self) -> csr_array:
         """Edge lengths as a symmetric sparse matrix; a stored 0 is an edge of length 0."""
-        start, end = self.edges.T
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
-        rows, columns = np.concatenate([start, end]), np.concatenate([end, start])
-        shape = (len(self.vertices), len(self.vertices))
-        return coo_array((np.tile(self.lengths, 2), (rows, columns)), shape=shape).tocsr()
+        ends = np.concatenate([self.edges, self.edges[:, ::-1]])
+        return coo_array((np.tile(self.lengths, 2), tuple(ends.T)), shape=(len(self.vertices),) * 2).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
         """Return the graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, edges with their length as ``weight``."""
@@ -72,43 +71,47 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-def first_visible(
-    lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
-) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2) -> VisiblePaths:
     """Return the first vertices of each point's ``count`` shortest visible paths (-1: too few), and the lengths.
 
     A path from point ``i`` by vertex ``k`` has length ``lengths[i, k]`` (NaN excludes the path), and is visible if
-    ``sees(i, k)``. The array ``lengths`` is modified. Visibility is tested in rounds, first of ``at_once`` paths of
-    each point, the shortest ones, or ``count`` if that is more.
+    ``sees(i, k)``. Visibility is tested in rounds: first of the ``at_once`` shortest paths of each point, or of
+    ``count`` if that is more, then of ``2 * at_once`` times as many paths in each round.
     """
+    num_ways = lengths.shape[1]
     visible_way, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
-    pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
-    while pending.size and lengths.shape[1]:
-        # Columns of the smallest entries of each row in ascending order, NaN last.
+    # Row `r` of `lengths`, and of all arrays of a round, belongs to point `pending[r]`.
+    pending, num_found = np.arange(len(lengths)), np.zeros(len(lengths), int)
+    num_tests = max(at_once, count)
+    while pending.size and num_ways:
+        # 1. Find the shortest paths of each row that were not tested, in ascending order of length, NaN last.
         rows = np.arange(len(lengths))[:, None]
-        if num_tests < lengths.shape[1]:
-            tests = np.argpartition(lengths, num_tests - 1, axis=1)[:, :num_tests]
-            tests = tests[rows, np.argsort(lengths[rows, tests], axis=1)]
+        if num_tests < num_ways:
+            way = np.argpartition(lengths, num_tests - 1, axis=1)[:, :num_tests]
+            way = way[rows, np.argsort(lengths[rows, way], axis=1)]
         else:
-            tests = np.argsort(lengths, axis=1)
-        length = lengths[rows, tests]
-        row, column = np.nonzero(~np.isnan(length))
-        visible = np.zeros(tests.shape, dtype=bool)
-        visible[row, column] = sees(pending[row], tests[row, column])
-        rank = num_found[:, None] + np.cumsum(visible, axis=1)
-        row, column = np.nonzero(visible & (rank <= count))
-        place = pending[row], rank[row, column] - 1
-        visible_way[place], shortest[place] = tests[row, column], length[row, column]
-        more = (rank[:, -1] < count) & ~np.isnan(length[:, -1])
-        pending, num_found, lengths = pending[more], rank[more, -1], lengths[more]
-        lengths[np.arange(len(lengths))[:, None], tests[more]] = np.nan
+            way = np.argsort(lengths, axis=1)
+        length = lengths[rows, way]
+        # 2. Test them.
+        is_visible = ~np.isnan(length)
+        row, column = np.nonzero(is_visible)
+        is_visible[row, column] = sees(pending[row], way[row, column])
+        # 3. Store each point's first visible paths, up to `count`.
+        num_visible = num_found[:, None] + np.cumsum(is_visible, axis=1)  # up to and with each path
+        row, column = np.nonzero(is_visible & (num_visible <= count))
+        place = pending[row], num_visible[row, column] - 1
+        visible_way[place], shortest[place] = way[row, column], length[row, column]
+        # 4. Keep the points that need more paths and have some. Indexing copies, so the argument stays as it is.
+        needs_more = (num_visible[:, -1] < count) & ~np.isnan(length[:, -1])
+        pending, num_found, lengths = pending[needs_more], num_visible[needs_more, -1], lengths[needs_more]
+        lengths[np.arange(len(lengths))[:, None], way[needs_more]] = np.nan
         num_tests *= 2 * at_once
     return visible_way, shortest
 
 
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
-) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+) -> VisiblePaths:
     """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` maps a slice to lengths."""
     visible_way, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
@@ -125,22 +128,27 @@ def first_visible_ragged(
 ) -> FirstVisible:
     """Return, for each point, the index of the shortest visible path in ``lengths`` (-1: none), and its length.
 
-    ``lengths``, modified in place, has ``counts[0]`` path lengths of the first point, one for each candidate for the
-    path's first vertex; then ``counts[1]`` of the next point, and so on.
+    ``lengths`` has ``counts[0]`` path lengths of the first point, one for each candidate for the path's first vertex;
+    then ``counts[1]`` of the next point, and so on. The array must have no NaN, and is modified in place. The second
+    argument of ``sees`` has indices in ``lengths``.
     """
     visible_pair, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
-    pending = np.flatnonzero(counts)
-    pair, counts = np.arange(len(lengths)), counts[pending]
+    # `lengths` and `pair` have ``counts[i]`` paths of point ``pending[i]``. The length of a tested path is inf.
+    pending, pair = np.flatnonzero(counts), np.arange(len(lengths))
+    counts = counts[pending]
     while pending.size:
+        # 1. Find the shortest path of each point, the first one if several are equal.
         start = np.cumsum(counts) - counts
         least = np.minimum.reduceat(lengths, start)
         best = np.flatnonzero(lengths == np.repeat(least, counts))
         best = best[np.searchsorted(best, start)]
-        visible = sees(pending, pair[best])
-        place = pending[visible]
-        visible_pair[place], shortest[place] = pair[best[visible]], least[visible]
+        # 2. Test and store it.
+        is_visible = sees(pending, pair[best])
+        place = pending[is_visible]
+        visible_pair[place], shortest[place] = pair[best[is_visible]], least[is_visible]
+        # 3. Exclude it from the next round, and keep the points that need another path and have one.
         lengths[best] = np.inf
-        more = ~visible & (np.minimum.reduceat(lengths, start) < np.inf)
-        is_pending = np.repeat(more, counts)
-        pending, counts, lengths, pair = pending[more], counts[more], lengths[is_pending], pair[is_pending]
+        needs_more = ~is_visible & (np.minimum.reduceat(lengths, start) < np.inf)
+        is_kept = np.repeat(needs_more, counts)
+        pending, counts, lengths, pair = pending[needs_more], counts[needs_more], lengths[is_kept], pair[is_kept]
     return visible_pair, shortest

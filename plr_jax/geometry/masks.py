@@ -27,7 +27,6 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 # 8-connected, and everything outside the grid is blocked.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
-_ALL_AROUND = np.ones((3, 3), dtype=bool)
 CLEARANCE = 0.25  # pixels that links without a common end keep from one another
 Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
@@ -44,6 +43,7 @@ class PixelRings:
 
 def pixel_rings(free: Mask) -> PixelRings:
     """Return the outlines of the free pixels, in units of pixels."""
+    # 1. Find the corners: lattice points at which an odd number of the four pixels is free, or two opposite ones are.
     padded = np.pad(free, 1)
     lower_left, lower_right = padded[:-1, :-1], padded[:-1, 1:]
     upper_left, upper_right = padded[1:, :-1], padded[1:, 1:]
@@ -54,35 +54,35 @@ def pixel_rings(free: Mask) -> PixelRings:
             f"The outline of the pixels may have at most {_MOST_CORNERS:,} corners, got {count:,}: smooth the "
             "picture, or drop its specks."
         )
+    # 2. Sort the corners by row. A contact is two corners: the end of one horizontal run, then the start of the next.
     y, x = np.nonzero(is_corner)
-    # A contact is two corners: the end of one horizontal run, then the start of the next.
-    twice = np.where(touches[y, x], 2, 1)
-    is_contact = np.repeat(twice == 2, twice)
-    is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), twice)) == 0))
-    x, y = np.repeat(x, twice), np.repeat(y, twice)
-    # In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs; in column order, of vertical runs.
-    along_x = np.arange(len(x)) ^ 1
-    # A ring turns around its free pixel: a run that arrives from the left goes down if the pixel is below, else up.
+    repeats = np.where(touches[y, x], 2, 1)
+    is_contact = np.repeat(repeats == 2, repeats)
+    is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), repeats)) == 0))
+    x, y = np.repeat(x, repeats), np.repeat(y, repeats)
+    # 3. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs. In column order, corners 0 and
+    #    1, 2 and 3, ... are the ends of vertical runs. So the run of corner i ends at i ^ 1. A ring turns around its
+    #    free pixel: at a contact, the horizontal run from the left goes down if the pixel on its lower left is free,
+    #    else up.
+    other_end = np.arange(len(x)) ^ 1
     goes_down = padded[y, x]
     columns = np.lexsort((is_second == goes_down, y, x))
     along_y = np.empty_like(columns)
-    along_y[columns] = columns[np.arange(len(x)) ^ 1]
-    # Free space is on the left, so rings go right along runs with free pixels above them.
+    along_y[columns] = columns[other_end]
+    # 4. Choose whether a ring leaves a corner along its horizontal or its vertical run. Free space is on the left, so
+    #    rings go right along runs with free pixels above them, and left along the others.
     is_left_end = np.arange(len(x)) % 2 == 0
-    right_of = x + np.where(is_left_end, 0, -1)
-    free_above = padded[y + 1, right_of + 1]
-    leaves_along_x = is_left_end == free_above
-    follower = np.where(leaves_along_x, along_x, along_y)
-    # Collect the cycles of followers, each from its smallest corner on.
+    column = x + np.where(is_left_end, 0, -1)  # of the pixels beside the run
+    is_free_above = padded[y + 1, column + 1]
+    follower = np.where(is_left_end == is_free_above, other_end, along_y)
+    # 5. Collect the cycles of followers, each from its smallest corner on. Visited corners get the follower -1.
     onward, order, start = follower.tolist(), [], []
-    for first in range(len(onward)):
-        if onward[first] < 0:
-            continue
-        start.append(len(order))
-        at = first
-        while onward[at] >= 0:
-            order.append(at)
-            onward[at], at = -1, onward[at]
+    for corner in range(len(onward)):
+        if onward[corner] >= 0:
+            start.append(len(order))
+        while onward[corner] >= 0:
+            order.append(corner)
+            onward[corner], corner = -1, onward[corner]
     order, start = np.array(order, dtype=np.int64), np.array([*start, len(order)], dtype=np.int64)
     return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
 
@@ -106,17 +106,19 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
-    # Take the longest links, one after the other from the first station of each ring.
-    onward, chain = _farthest(stations, tolerance * (1 - 1e-9)).tolist(), []
-    for at in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
-        chain.append(at)
+    # 1. Take the longest links, one after the other from the first station of each ring to its last one.
+    onward = _farthest(stations, tolerance * (1 - 1e-9)).tolist()
+    chain = []
+    for station in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
+        chain.append(station)
         while onward[chain[-1]] != chain[-1]:
             chain.append(onward[chain[-1]])
+    # 2. Replace unwanted links by the exact outline. This ends since exact links are never unwanted.
     is_kept = np.isin(np.arange(len(onward)), chain)
-    while (undone := _unwanted(stations, is_kept, tolerance)).any():
-        first, last = _links(stations, is_kept)
-        for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
+    while links := _unwanted_links(stations, is_kept, tolerance):
+        for begin, end in links:
             is_kept[begin:end] |= stations.is_corner[begin:end]
+    # 3. Drop the last station of each ring, which repeats the first.
     is_last = np.append(stations.ring[1:] != stations.ring[:-1], True)
     index = np.flatnonzero(is_kept & ~is_last)
     count = np.bincount(stations.ring[index], minlength=len(outlines.start) - 1)
@@ -124,64 +126,76 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
-    # The second result says whether two outlines, or one twice, meet at a station. A ring of k corners, which begins
-    # at its first contact if it has any, has 2 k + 1 stations before middles are dropped: a corner, the middle of its
-    # run, the next corner, ..., and the first corner again.
+    """Return the stations of outlines, and whether two outlines, or one twice, meet at each of them."""
+    # A ring r of k corners has 2 k + 1 stations before middles are dropped. If its first corner is number n of all
+    # rings' corners, its corners are the stations of_corner = 2 n + r, 2 n + r + 2, ..., and the last repeats the
+    # first:
+    #
+    #      corner   middle of its run   corner   middle   ...   corner   middle   first corner again
+    #      first                                                                  last
+    #
+    # 1. Let each ring begin at its first contact, if it has any: `corner[i]` is the corner in place of corner i.
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
     contacts = np.flatnonzero(outlines.is_contact)[::-1]  # reversed, so that the first contact of a ring is kept
     shift[ring[contacts]] = place[contacts]
     corner = outlines.start[ring] + (place + shift[ring]) % size[ring]
-    following = outlines.start[ring] + (place + 1 + shift[ring]) % size[ring]
-    at = 2 * np.arange(len(ring)) + ring
-    first, last = at[outlines.start[:-1]], at[outlines.start[1:] - 1] + 2
-    source = np.empty(2 * len(ring) + num_rings, dtype=int)
-    source[at], source[at + 1], source[last] = corner, corner, corner[outlines.start[:-1]]
+    next_corner = outlines.start[ring] + (place + 1 + shift[ring]) % size[ring]
+    # 2. Place the stations.
+    of_corner = 2 * np.arange(len(ring)) + ring
+    first, last = of_corner[outlines.start[:-1]], of_corner[outlines.start[1:] - 1] + 2
+    source = np.empty(2 * len(ring) + num_rings, dtype=int)  # corner of each station
+    source[of_corner] = source[of_corner + 1] = corner
+    source[last] = corner[outlines.start[:-1]]
     points = outlines.points[source]
-    points[at + 1] = (outlines.points[corner] + outlines.points[following]) / 2
+    points[of_corner + 1] = (outlines.points[corner] + outlines.points[next_corner]) / 2
     is_corner = np.ones(len(source), dtype=bool)
-    is_corner[at + 1] = False
+    is_corner[of_corner + 1] = False
+    # 3. Find the end of each station: the next contact, or else the last station of the ring, which is its own end.
     is_contact = outlines.is_contact[source] & is_corner
     is_end = is_contact.copy()
     is_end[first], is_end[last] = False, True
     ends = np.flatnonzero(is_end)
     end = ends[np.minimum(np.searchsorted(ends, np.arange(len(source)), side="right"), len(ends) - 1)]
     end[last] = last
-    # Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
-    along = outlines.points[following] - outlines.points[corner]
-    ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])
-    turn = np.empty(len(ring))
-    turn[ahead] = np.sign(cross_product(along, along[ahead]))  # turn at the end of each run
+    # 4. Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
+    along = outlines.points[next_corner] - outlines.points[corner]
+    ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])  # the next run
+    turn = np.empty(len(ring))  # at the start of each run
+    turn[ahead] = np.sign(cross_product(along, along[ahead]))
     is_kept = np.ones(len(source), dtype=bool)
-    is_kept[at + 1] = turn != turn[ahead]
+    is_kept[of_corner + 1] = turn != turn[ahead]
     index = np.cumsum(is_kept) - 1
     ring_of = np.repeat(np.arange(num_rings), 2 * size + 1)
     return _Stations(points[is_kept], ring_of[is_kept], is_corner[is_kept], index[end[is_kept]]), is_contact[is_kept]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
-    # The result is the farthest later station to which a link from each station may go.
+    """Return the farthest later station to which a link from each station may go."""
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
     # A corner at distance d allows directions up to arcsin(tolerance / d) from its own, or all if d is within the
     # tolerance. The wedge, from `least` to `most`, is relative to `axis`, the direction of the first corner that
-    # limits it.
-    points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
+    # limits it. In each round, all links advance by one station.
+    points = stations.points
+    farthest = np.minimum(np.arange(len(points)) + 1, stations.end)
     begin = np.flatnonzero(stations.end > np.arange(len(points)))
     axis, least, most, length = np.zeros((4, len(begin)))
     least, most = least - np.inf, most + np.inf
     step = 0
     while len(begin):
+        # 1. Does the link from `begin` to `end` fit?
         step += 1
-        at = begin + step
-        x, y = (points[at] - points[begin]).T
+        end = begin + step
+        x, y = (points[end] - points[begin]).T
         distance, angle = np.hypot(x, y), np.arctan2(y, x)
         is_open = np.isinf(least)
-        turn = (angle - axis + np.pi) % (2 * np.pi) - np.pi
+        turn = (angle - axis + np.pi) % (2 * np.pi) - np.pi  # from the axis, in [-pi, pi)
         fits = (is_open | ((least <= turn) & (turn <= most))) & (length <= distance)
-        farthest[begin[fits]] = at[fits]
-        is_corner = stations.is_corner[at]
+        farthest[begin[fits]] = end[fits]
+        # 2. Longer links must pass near `end` if it is a corner.
+        is_corner = stations.is_corner[end]
         narrows = is_corner & (distance > tolerance)
         axis = np.where(narrows & is_open, angle, axis)
         turn = np.where(is_open, 0.0, turn)
@@ -189,25 +203,27 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
         least = np.where(narrows, np.maximum(least, turn - spread), least)
         most = np.where(narrows, np.minimum(most, turn + spread), most)
         length = np.where(is_corner, np.maximum(length, distance), length)
-        goes_on = (least <= most) & (at < stations.end[begin])
+        # 3. Go on unless the wedge is empty or the link must not pass its end.
+        goes_on = (least <= most) & (end < stations.end[begin])
         begin, axis, least, most, length = (column[goes_on] for column in (begin, axis, least, most, length))
     return farthest
 
 
-def _links(stations: _Stations, is_kept: Bool[np.ndarray, " n"]) -> tuple[Indices, Indices]:
+def _unwanted_links(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> list[list[int]]:
+    """Return the links that come near others or surround another ring, but none along the exact outline.
+
+    Links join consecutive kept stations of a ring, and are given by their first and last station.
+    """
     kept = np.flatnonzero(is_kept)
-    joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
-    return kept[:-1][joined], kept[1:][joined]
-
-
-def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> Bool[np.ndarray, " m"]:
-    first, last = _links(stations, is_kept)
-    num_corners = np.append(0, np.cumsum(stations.is_corner))
-    is_inexact = num_corners[last] > num_corners[first + 1]
-    near = _near(stations.points[np.stack([first, last], axis=1)])
+    links = np.stack([kept[:-1], kept[1:]], axis=1)
+    links = links[stations.ring[kept[1:]] == stations.ring[kept[:-1]]]
+    first, last = links.T
+    num_corners = np.append(0, np.cumsum(stations.is_corner))  # before each station
+    is_inexact = num_corners[last] > num_corners[first + 1]  # a corner lies between
+    is_unwanted = is_inexact & _near(stations.points[links])
     if tolerance > 0.5:  # with less, no link can pass to the other side of a ring
-        near[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
-    return is_inexact & near
+        is_unwanted[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
+    return links[is_unwanted].tolist()
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
@@ -215,25 +231,25 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
-    is_joined, folded = np.zeros((2, len(a)), dtype=bool)
-    for end, other in product((0, 1), repeat=2):
-        shared = (links[a, end] == links[b, other]).all(axis=1)
-        is_joined |= shared
-        for segments, points in ((links[a], links[b, 1 - other]), (links[b], links[a, 1 - end])):
+    # Segments that share an end are folded if the other end of one comes near the other segment.
+    is_joined, is_folded = np.zeros((2, len(a)), dtype=bool)
+    for a_end, b_end in product((0, 1), repeat=2):
+        is_shared = (links[a, a_end] == links[b, b_end]).all(axis=1)
+        is_joined |= is_shared
+        for segments, points in ((links[a], links[b, 1 - b_end]), (links[b], links[a, 1 - a_end])):
             to_start, along = segments[:, 0] - points, segments[:, 1] - segments[:, 0]
-            folded |= shared & (distance_to_segment(*to_start.T, *along.T) < CLEARANCE)
-    is_bad = folded | ~is_joined
+            is_folded |= is_shared & (distance_to_segment(*to_start.T, *along.T) < CLEARANCE)
+    is_bad = is_folded | ~is_joined
     return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, " m"]:
-    """Return which segments enclose another outline, together with the part of their outline that they replace."""
+    """Return which links enclose another outline, together with the part of their outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
-    firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
-    points = shapely.points(stations.points[firsts])
-    point, link = shapely.STRtree(between).query(points, predicate="within")
-    is_other = stations.ring[firsts[point]] != stations.ring[first[link]]
+    ring_start = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
+    point, link = shapely.STRtree(between).query(shapely.points(stations.points[ring_start]), predicate="within")
+    is_other = stations.ring[ring_start[point]] != stations.ring[first[link]]
     return np.isin(np.arange(len(first)), link[is_other])
 
 
@@ -241,6 +257,7 @@ def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
     """Check a mask, and return its free pixels as a simplified Shapely region in workspace units, without specks."""
+    # 1. Check the arguments.
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
@@ -250,10 +267,12 @@ def placed_region(
     if pose.shape not in ((2,), (3,)) or not np.isfinite(pose).all():
         raise ValueError(f"origin must be finite numbers (x, y) or (x, y, yaw), got {shortened(origin)}.")
     require_resolved_pixels(free.shape, resolution, np.abs(pose[:2]).max())
+    # 2. Turn the rows so that the lowest is first, and drop specks.
     free = free if row0 == "bottom" else free[::-1]
     free = without_specks(free, drop_specks) if drop_specks else free
     if not free.any():
         raise ValueError(f"No pixel of {free.shape[0]} x {free.shape[1]} is free.")
+    # 3. Scale, turn and move the region.
     yaw = pose[2] if len(pose) == 3 else 0.0
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     # The product is computed in a fixed order, so that both corners of a contact get the same place.
@@ -292,28 +311,28 @@ def as_mask(free: ArrayLike) -> Mask:
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     """Return the free pixels as a Shapely MultiPolygon in pixel units, simplified to ``tolerance`` pixels."""
+    # 1. Find the component, numbered from 1, of the free pixel on the left of each ring's first run. The pixel's
+    #    center is half a unit ahead of the run's start, and half a unit to its left.
     outlines = pixel_rings(free)
-    # Find the component of free pixels on the left of each ring.
     begin = outlines.points[outlines.start[:-1]].astype(int)
     ahead = np.sign(outlines.points[outlines.start[:-1] + 1].astype(int) - begin)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     column, row = (begin + (ahead + left - 1) // 2).T
-    component = _labels(free)[row, column]
-    rings = simplified(outlines, tolerance)
-    loops, ring = _simple_loops(rings)
-    component = component[ring]
-    # The one counterclockwise loop of a component is its shell; its other loops are holes.
+    # 2. Simplify the rings, and split them into loops that do not touch themselves.
+    loops, ring = _simple_loops(simplified(outlines, tolerance))
+    component = _labels(free)[row, column][ring]
+    # 3. The one counterclockwise loop of a component is its shell; its other loops are holes.
     is_outer = shapely.is_ccw(loops)
     shells = loops[is_outer][np.argsort(component[is_outer])]
-    holes, part = loops[~is_outer], component[~is_outer]
-    order = np.argsort(part, kind="stable")
-    holes = np.split(holes[order], np.searchsorted(part[order], np.arange(2, len(shells) + 1)))
+    holes, of_hole = loops[~is_outer], component[~is_outer]
+    order = np.argsort(of_hole, kind="stable")
+    holes = np.split(holes[order], np.searchsorted(of_hole[order], np.arange(2, len(shells) + 1)))
     return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
 
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:
-    """Remove components of at most ``num_pixels`` pixels, blocked, then free."""
-    for value, structure in ((False, _ALL_AROUND), (True, None)):
+    """Remove components of at most ``num_pixels`` pixels: blocked ones (8-connected), then free ones."""
+    for value, structure in ((False, np.ones((3, 3), bool)), (True, None)):
         label = _labels(free == value, structure)
         is_small = np.bincount(label.ravel()) <= num_pixels
         is_small[0] = False
@@ -330,24 +349,29 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
     """Split rings where they touch themselves; return Shapely rings, and for each the index of its original."""
-    order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
-    loop = ring.copy()
+    # 1. Number the loop of each point. The first loop of a ring has the ring's number; its other loops get new
+    #    numbers.
     num_loops = len(rings.start) - 1
-    for meets in np.unique(ring[rings.is_contact]).tolist():
-        begin, end = rings.start[meets], rings.start[meets + 1]
+    ring = np.repeat(np.arange(num_loops), np.diff(rings.start))
+    loop, order = ring.copy(), np.arange(len(rings.points))
+    for i in np.unique(ring[rings.is_contact]).tolist():
+        begin, end = rings.start[i], rings.start[i + 1]
         parts = _loops_of(rings.points[begin:end], rings.is_contact[begin:end])
         order[begin:end] = begin + np.concatenate(parts)
-        loop[begin:end] = np.repeat([meets, *range(num_loops, num_loops + len(parts) - 1)], [len(p) for p in parts])
+        loop[begin:end] = np.repeat([i, *range(num_loops, num_loops + len(parts) - 1)], [len(part) for part in parts])
         num_loops += len(parts) - 1
+    # 2. Make rings of the points sorted by loop.
     sorted_by_loop = np.argsort(loop, kind="stable")
     loops: Any = shapely.linearrings(rings.points[order][sorted_by_loop], indices=loop[sorted_by_loop])
-    ring_of = np.empty(num_loops, dtype=int)
-    ring_of[loop] = ring
-    return loops, ring_of
+    ring_of_loop = np.empty(num_loops, dtype=int)
+    ring_of_loop[loop] = ring
+    return loops, ring_of_loop
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, " n"]) -> list[list[int]]:
     """Split a ring at corners that it passes twice, where free pixels touch; return each loop's point indices."""
+    # Follow the ring. When the path comes to a contact on it again, cut off the loop since then. `place` has the
+    # index in `path` of each contact on it.
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
         if meets and point in place:

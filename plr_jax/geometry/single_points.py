@@ -16,7 +16,9 @@ from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable
 
 FEW = 32  # largest batch that is answered point by point: on the maze and den520d, then half as long as a batch
-_NEAR = 4  # tolerances. Farther from all vertices of its triangles, rounding cannot change what a segment crosses.
+# In tolerances: if a segment passes all vertices of its triangles at a larger distance, rounding cannot change what
+# it crosses.
+_NEAR = 4
 
 
 class Place(NamedTuple):
@@ -48,11 +50,14 @@ class PointLocator:
 
     def place(self, x: float, y: float) -> Place | None:
         """Locate a point; return None outside free space, and if rounding matters: near two sides of a triangle."""
+        # 1. Find the cell of the locator's grid.
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
             return None
-        x, y = self._grid * round(x / self._grid), self._grid * round(y / self._grid)
         cell = int(across) * self._rows + int(along)
+        # 2. Try its triangles. The point is in a triangle if it is clearly inside of all three sides, and near one
+        #    side if it is clearly inside of the two others.
+        x, y = self._grid * round(x / self._grid), self._grid * round(y / self._grid)
         for triangle in self._triangle[self._first[cell] : self._first[cell + 1]]:
             low, middle, _ = sorted(heights := self._heights(triangle, x, y))
             if low > self._tolerance:
@@ -62,17 +67,19 @@ class PointLocator:
         return None
 
     def _heights(self, triangle: int, x: float, y: float) -> list[float]:
+        """Return the signed distances of a point from the lines of a triangle's three sides, positive inside."""
         a, b, c, d, e, f, g, h, i = self._lines[9 * triangle : 9 * triangle + 9]
         return [a * x + b * y - c, d * x + e * y - f, g * x + h * y - i]
 
     def _place_near_side(self, x: float, y: float, half_edge: int) -> Place | None:
+        """Decide exactly on which side of a half-edge a point lies, or on both; None if it is near another side."""
         triangle, twin = half_edge // 3, self._twin[half_edge]
         beyond = twin // 3 if twin >= 0 else triangle
         if twin >= 0 and sorted(self._heights(beyond, x, y))[1] <= self._tolerance:
             return None
-        # Coordinates are multiples of the grid spacing, and Python computes with integers exactly.
-        following = half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
-        ends = (self._corners[2 * i + axis] for i in (half_edge, following) for axis in (0, 1))
+        # The cross product is exact: coordinates are multiples of the grid spacing, and Python's integers are exact.
+        next_half_edge = half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
+        ends = (self._corners[2 * i + axis] for i in (half_edge, next_half_edge) for axis in (0, 1))
         ax, ay, bx, by, px, py = (int(coordinate / self._grid) for coordinate in (*ends, x, y))
         side = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
         if side < 0:
@@ -83,13 +90,20 @@ class PointLocator:
         """Return whether the segment between two points is free; None if it passes too near a vertex to tell."""
         if start.triangle == end.triangle:
             return True
+        # Let d be the segment's vector. The cross product of d and a corner's offset from the start is positive on
+        # the left of the segment. Its size is |d|, at most |dx| + |dy|, times the corner's distance from the
+        # segment's line.
         corners, x, y, dx, dy = self._corners, start.x, start.y, end.x - start.x, end.y - start.y
-        near, half_edge = _NEAR * self._tolerance * (abs(dx) + abs(dy)), 3 * start.triangle
+        near = _NEAR * self._tolerance * (abs(dx) + abs(dy))
+        # 1. The segment leaves a triangle through the half-edge that starts on its right and ends on its left.
+        half_edge = 3 * start.triangle
         sides = [dx * (corners[2 * i + 1] - y) - dy * (corners[2 * i] - x) for i in range(half_edge, half_edge + 3)]
         if min(map(abs, sides)) <= near:
             return None
-        # The segment leaves a triangle through the half-edge that starts on its right and ends on its left.
-        half_edge += next(i for i in range(3) if sides[i] < 0 < sides[i - 2])
+        half_edge += next(i for i in range(3) if sides[i] < 0 < sides[i - 2])  # corner i - 2 is the next one, i + 1
+        # 2. Walk from triangle to triangle, until the half-edge is a wall. The corner ahead is opposite to the entry.
+        #    If it is on the left, the segment leaves through the half-edge before the corner, else through the one
+        #    after.
         while (entry := self._twin[half_edge]) >= 0:
             triangle, i = divmod(entry, 3)
             if triangle == end.triangle:
@@ -114,6 +128,7 @@ class PointSight:
 
     def sees(self, view: int, place: Place) -> bool:
         """Return whether a viewpoint sees a place, with the same result as :meth:`VisibilityTable.sees`."""
+        # 1. Find the key of the direction, 4 view + pseudo_angle(u, v), and its interval in the table.
         i, keys, x, y = 2 * view, self._key, place.x, place.y
         dx, dy, cx, cy = x - self._points[i], y - self._points[i + 1], self._cut[i], self._cut[i + 1]
         u, v = cx * dx + cy * dy, cx * dy - cy * dx
@@ -121,9 +136,12 @@ class PointSight:
         slant = u / length if length > 0 else 1.0
         key = 4.0 * view + (1.0 - slant if v >= 0 else 3.0 + slant)
         row = bisect_right(keys, key, self._first[view], self._first[view + 1]) - 1
-        edge, after = self._edge[row], keys[row + 1] if row + 1 < len(keys) else inf
+        next_key = keys[row + 1] if row + 1 < len(keys) else inf
+        # 2. Test whether the place is in front of the interval's nearest edge. Near the edge or an end of the
+        #    interval, where rounding matters, ask the exact test.
+        edge = self._edge[row]
         height = self._normal[2 * edge] * x + self._normal[2 * edge + 1] * y - self._offset[edge]
-        if key - keys[row] <= self._blur or after - key <= self._blur or abs(height) <= self._tolerance:
+        if key - keys[row] <= self._blur or next_key - key <= self._blur or abs(height) <= self._tolerance:
             return bool(self._table.sees(np.array([view]), np.array([[x, y]]))[0])
         return height > 0 and edge >= 0
 

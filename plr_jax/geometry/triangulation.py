@@ -40,22 +40,27 @@ class Locator:
     lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return each point's triangle, or a nearby one (-1: none), and its signed distance to the nearest side."""
-        place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
-        cell = place[:, 0] * self.shape[1] + place[:, 1]
-        nearest, best = np.full(len(x), -1), np.full(len(x), -np.inf)
+        """Return each point's triangle, or a nearby one (-1: none), and its signed distance to the nearest side.
+
+        The distance is negative outside of the triangle. It may have a wrong sign by rounding.
+        """
+        column, row = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int).T
+        cell = column * self.shape[1] + row
+        nearest, best_height = np.full(len(x), -1), np.full(len(x), -np.inf)
+        # Each pending point tries one triangle of its cell in each round, until one contains the point.
         pending, entry, end = np.arange(len(x)), self.first[cell], self.first[cell + 1]
         while len(pending):
-            more = entry < end
-            pending, entry, end = pending[more], entry[more], end[more]
+            has_more = entry < end
+            pending, entry, end = pending[has_more], entry[has_more], end[has_more]
             triangle = self.triangle[entry]
             normal_x, normal_y, offset = np.moveaxis(self.lines[triangle], 2, 0)
             height = (normal_x * x[pending, :1] + normal_y * x[pending, 1:] - offset).min(axis=1)
-            better = height > best[pending]
-            nearest[pending[better]], best[pending[better]] = triangle[better], height[better]
-            outside = height < 0
-            pending, entry, end = pending[outside], entry[outside] + 1, end[outside]
-        return nearest, best
+            is_better = height > best_height[pending]
+            rows = pending[is_better]
+            nearest[rows], best_height[rows] = triangle[is_better], height[is_better]
+            is_outside = height < 0
+            pending, entry, end = pending[is_outside], entry[is_outside] + 1, end[is_outside]
+        return nearest, best_height
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +87,7 @@ class Triangulation:
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, " edges"]:
+        """The half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -90,22 +96,24 @@ class Triangulation:
     @cached_property
     def locator(self) -> Locator:
         """A grid of about as many cells as triangles, with the triangles that each cell meets, to locate points."""
+        # 1. Divide the bounding box into nearly square cells.
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
         count = np.maximum(1, np.minimum((hi - lo) / side, 4 * len(triangles)).astype(int))
         width = (hi - lo) / count
+        # 2. Find the triangles that meet each cell, grown by the tolerance.
         corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
         cells: Any = shapely.box(*(corner - self.tolerance).T, *(corner + width + self.tolerance).T)
         tree = shapely.STRtree(np.asarray(shapely.polygons(triangles)))
         cell, triangle = tree.query(cells, predicate="intersects")
         order = np.argsort(cell, kind="stable")
         first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
+        # 3. Find the line n . x = d of each side, with the inward normal n.
         normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
         offset = (normal * triangles).sum(axis=2, keepdims=True)
-        shape = int(count[0]), int(count[1])
         lines = np.concatenate([normal, offset], axis=2)
-        return Locator(lo, width, shape, first, triangle[order].astype(np.int32), lines)
+        return Locator(lo, width, (int(count[0]), int(count[1])), first, triangle[order].astype(np.int32), lines)
 
     @cached_property
     def grid(self) -> float:
@@ -118,10 +126,14 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, " n"] | None = None
     ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-        """Return each point's triangle and the point's side of its edges (inside: 1); ``triangle``: a first guess."""
-        # Points are multiples of ``grid``. A point outside the region gets a nearby triangle, and a sign of -1. Walks
-        # through the triangles begin at ``triangle``, if given.
-        turn, pending = np.ones((len(x), 3)), np.arange(len(x))
+        """Return each point's triangle, and on which side of the triangle's three edges the point lies.
+
+        The side is 1 inside, 0 on the edge's line, and -1 outside. Points must be multiples of ``grid``. A point
+        outside the region gets a nearby triangle, with a -1. ``triangle`` has first guesses.
+        """
+        # 1. Choose the triangles at which walks begin. Points far inside a triangle of the locator need no walk.
+        turn = np.ones((len(x), 3))
+        pending = np.arange(len(x))
         if triangle is not None:
             triangle = triangle.copy()
         elif len(x) > _FEW or "locator" in self.__dict__:
@@ -130,79 +142,89 @@ class Triangulation:
         else:
             sides = np.roll(self.triangles, -1, axis=1) - self.triangles
             triangle = np.array([cross_product(sides, q - self.triangles).min(axis=1).argmax() for q in x], int)
+        # 2. Walk through a side that has the point on its other side and is not a wall, until there is none.
         for _ in range(_MOST_STEPS):
             corners = self.triangles[triangle[pending]]
             sides = np.roll(corners, -1, axis=1) - corners
             away = x[pending, None] - corners
             turn[pending] = np.sign(orientation(sides[..., 0], sides[..., 1], away[..., 0], away[..., 1]))
-            # Walk through a side that has the point on its other side and is not a wall.
             twin = self.twin.reshape(-1, 3)[triangle[pending]]
             side = np.where(twin >= 0, turn[pending], 0).argmin(axis=1)
-            outside = turn[pending, side] < 0
-            outside &= twin[np.arange(len(pending)), side] >= 0
-            pending, twin, side = pending[outside], twin[outside], side[outside]
+            twin = twin[np.arange(len(pending)), side]
+            is_walking = (turn[pending, side] < 0) & (twin >= 0)
+            pending, twin = pending[is_walking], twin[is_walking]
             if not len(pending):
                 break
-            triangle[pending] = twin[np.arange(len(pending)), side] // 3
+            triangle[pending] = twin // 3
         return triangle, turn
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to ``grid`` and locate them; points outside the region move onto the nearest wall."""
         boundary = self.boundary
-        exact, x = x, self.on_grid(x)
-        triangle, turn = self.locate(x)
+        placed = self.on_grid(x)
+        triangle, turn = self.locate(placed)
+        # 1. Points outside move to the nearest place on the nearest wall, or to a grid point just inside of it, since
+        #    the wall has few grid points. If no triangle contains any of these, the point is on all sides of one.
         outside = np.flatnonzero((turn < 0).any(axis=1))
         if len(outside):
-            # Move to the nearest point of the nearest wall, or to a grid point just inside of it.
-            _, edge, foot = boundary.feet(exact[outside])
-            beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
-            triangle[outside], turn[outside] = beside, 0.0
+            _, edge, foot = boundary.feet(x[outside])
+            beside = self.of_wall[edge] // 3
+            placed[outside], triangle[outside], turn[outside] = self.on_grid(foot), beside, 0.0
             pending = np.arange(len(outside))
             for steps in _STEPS_INSIDE:
-                place = self.on_grid(foot[pending] + steps * self.grid * boundary.normal[edge[pending]])
-                in_triangle, turns = self.locate(place, beside[pending])
-                inside = (turns >= 0).all(axis=1)
-                now, pending = outside[pending[inside]], pending[~inside]
-                x[now], triangle[now], turn[now] = place[inside], in_triangle[inside], turns[inside]
-        # Points near a vertex where the region touches itself move there, and are on all sides of their triangle.
+                candidate = self.on_grid(foot[pending] + steps * self.grid * boundary.normal[edge[pending]])
+                of_candidate, turns = self.locate(candidate, beside[pending])
+                is_in = (turns >= 0).all(axis=1)
+                rows = outside[pending[is_in]]
+                placed[rows], triangle[rows], turn[rows] = candidate[is_in], of_candidate[is_in], turns[is_in]
+                pending = pending[~is_in]
+        # 2. Points near a vertex where the region touches itself move there, and are on all sides of their triangle.
         if len(boundary.contacts):
-            away = np.linalg.norm(self.triangles[triangle] - exact[:, None], axis=2)
+            away = np.linalg.norm(self.triangles[triangle] - x[:, None], axis=2)
             away[~np.isin(self.origin.reshape(-1, 3)[triangle], boundary.contacts)] = np.inf
             near = np.flatnonzero(away.min(axis=1) <= self.tolerance)
-            x[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
-        return LocatedPoints(x, triangle, turn == 0)
+            placed[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
+        return LocatedPoints(placed, triangle, turn == 0)
 
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, " n"]:
-        """Return whether a free path within ``tolerance`` of the segment from ``a`` to ``b`` joins the two points."""
-        # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts:
-        # without ``squeeze``, only around contacts at which the segment begins or ends.
+        """Return whether a free path within ``tolerance`` of the segment from ``a`` to ``b`` joins the two points.
+
+        The path may pass through contacts on the segment; without ``squeeze``, only where the segment begins or ends.
+        """
+        # Breadth-first search of triangles, for all segments at once: state pair * num + triangle. The neighbors of a
+        # level lie in this level, the one before, or the next one, so only two levels are remembered.
         lines: Any = shapely.linestrings
-        num, joined = len(self.triangles), np.zeros(len(a.x), bool)
+        num = len(self.triangles)
         segments = lines(np.stack([a.x, b.x], axis=1))
+        # 1. List the half-edges that start at contact c: around[first[c] : first[c + 1]].
         contacts = index_of(self.boundary.contacts, self.origin)
-        around = np.argsort(contacts, kind="stable")  # half-edges that start at contacts, sorted by contact
+        around = np.argsort(contacts, kind="stable")
         first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
-        before, keys = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
-        while len(keys):
-            pair, triangle = np.divmod(keys, num)
+        joined = np.zeros(len(a.x), bool)
+        before, level = np.zeros(0, np.int64), np.arange(len(a.x)) * np.int64(num) + a.triangle
+        while len(level):
+            # 2. Drop the segments whose end is reached.
+            pair, triangle = np.divmod(level, num)
             joined[pair[triangle == b.triangle[pair]]] = True
             pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
-            corners, segment = self.triangles[triangle], segments[pair, None]
+            # 3. Go on through sides near the segment.
+            corners = self.triangles[triangle]
             sides = lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
             twin, contact = (table.reshape(-1, 3)[triangle] for table in (self.twin, contacts))
-            row, side = np.nonzero((twin >= 0) & shapely.dwithin(segment, sides, tolerance))
+            row, side = np.nonzero((twin >= 0) & shapely.dwithin(segments[pair, None], sides, tolerance))
             onward = pair[row] * np.int64(num) + twin[row, side] // 3
+            # 4. Go on to all triangles around contacts near the segment.
             if len(self.boundary.contacts):
                 is_end = (corners == a.x[pair, None]).all(axis=2) | (corners == b.x[pair, None]).all(axis=2)
-                row, side = np.nonzero((contact >= 0) & (squeeze | is_end))
-                points: Any = shapely.points(corners[row, side])
-                near = shapely.dwithin(segments[pair[row]], points, tolerance)
-                row, side = row[near], side[near]
-                half_edge, pair_row = take_ragged(first, contact[row, side])
-                onward = np.append(onward, pair[row[pair_row]] * np.int64(num) + around[half_edge] // 3)
-            before, keys = keys, np.setdiff1d(onward, np.concatenate([before, keys]))
+                row, corner = np.nonzero((contact >= 0) & (squeeze | is_end))
+                points: Any = shapely.points(corners[row, corner])
+                is_near = shapely.dwithin(segments[pair[row]], points, tolerance)
+                row, corner = row[is_near], corner[is_near]
+                entry, index = take_ragged(first, contact[row, corner])
+                onward = np.append(onward, pair[row[index]] * np.int64(num) + around[entry] // 3)
+            before, level = level, np.setdiff1d(onward, np.concatenate([before, level]))
         return joined
 
     @cached_property
@@ -229,28 +251,30 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     # 2. Compute the Delaunay triangulation of the vertices, with counterclockwise triangles.
     triangles = shapely.delaunay_triangles(shapely.multipoints(vertices))
     corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
-    corners[clockwise] = corners[clockwise, ::-1]
-    flat, keys = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
+    is_clockwise = cross_product(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
+    corners[is_clockwise] = corners[is_clockwise, ::-1]
+    # 3. Find the indices of the triangles' vertices by their coordinates, as complex numbers: these are ordered by x,
+    #    then y.
+    keys = vertices @ [1, 1j]
     order = np.argsort(keys)
-    triangles = order[np.searchsorted(keys, flat, sorter=order)]
-    crossed = _crossed(triangles, boundary.edges, len(vertices))
-    if len(crossed):
-        # 3. Insert the missing walls one by one, in integer arithmetic.
+    triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
+    # 4. Insert the missing walls one by one, in integer arithmetic.
+    missing = _missing_edges(triangles, boundary.edges, len(vertices))
+    if len(missing):
         offset = vertices - vertices.min(axis=0)
         unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
         mesh = _Mesh([(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()], triangles)
-        for start, end in crossed.tolist():
+        for start, end in missing.tolist():
             if (start, end) not in mesh.apex:
                 mesh.insert(start, end)
         triangles = np.array([(u, v, w) for (u, v), w in mesh.apex.items() if u < v and u < w])
-        if len(_crossed(triangles, boundary.edges, len(vertices))):
+        if len(_missing_edges(triangles, boundary.edges, len(vertices))):
             raise ValueError("Walls must not cross one another, but some do.")
-    return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
+    # 5. Keep the triangles in the region.
+    return Triangulation(boundary, tolerance, *_free_side(boundary.edges, triangles, len(vertices)))
 
 
-def _keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, " n"]:
+def _edge_keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, " n"]:
     return edges[:, 0].astype(np.int64) * num_vertices + edges[:, 1]
 
 
@@ -258,9 +282,9 @@ def _half_edges(triangles: Triangles) -> Int[np.ndarray, "half_edges 2"]:
     return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
-def _crossed(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.ndarray, "crossed 2"]:
-    keys = _keys(_half_edges(triangles), num_vertices)
-    return edges[index_of(keys, _keys(edges, num_vertices)) < 0]
+def _missing_edges(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.ndarray, "missing 2"]:
+    keys = _edge_keys(_half_edges(triangles), num_vertices)
+    return edges[index_of(keys, _edge_keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
@@ -270,9 +294,15 @@ class _Mesh:
         self.points = points
         u, v, w = triangles.T.tolist()
         self.apex = dict(zip(zip(u + v + w, v + w + u, strict=True), w + u + v, strict=True))
-        self.neighbor = dict(self.apex.keys())
+        self.neighbor = dict(self.apex.keys())  # for each vertex, the end of an edge that starts there
 
     def insert(self, start: int, end: int) -> None:
+        """Insert an edge between two vertices. Edges that cross it are lost, even walls."""
+        #          left --- ahead        The new edge crosses the edge from left to right. If the vertex ahead lies on
+        #         /    \   /    \        its left, as here, the next crossed edge leads from ahead to right, else from
+        #    start - - -\-/- - - end     left to ahead.
+        #         \     /
+        #          right
         # 1. Find the triangle at the start through whose opposite edge the new edge leaves.
         right = self.neighbor[start]
         left = self.apex[start, right]
@@ -281,21 +311,21 @@ class _Mesh:
         # 2. Remove the crossed triangles and collect their vertices on each side of the edge.
         on_left, on_right = [left], [right]
         self._remove(start, right, left)
-        while (ahead := self.apex[left, right]) != end:
-            self._remove(left, right, ahead)
-            if self._turn(start, end, ahead) > 0:
-                left = ahead
-                on_left.append(ahead)
-            else:
-                right = ahead
-                on_right.append(ahead)
-        self._remove(left, right, ahead)
+        while (ahead := self.apex[on_left[-1], on_right[-1]]) != end:
+            self._remove(on_left[-1], on_right[-1], ahead)
+            (on_left if self._turn(start, end, ahead) > 0 else on_right).append(ahead)
+        self._remove(on_left[-1], on_right[-1], end)
         # 3. Fill the polygons on both sides.
         self._fill(start, end, on_left[::-1])
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
-        """Fill the polygon of an edge and a chain of vertices on its left with Delaunay triangles."""
+        """Fill the polygon ``start``, ``end``, ``*chain``, counterclockwise, with Delaunay triangles."""
+        #            apex             The Delaunay triangle of the edge has the apex whose circle through start and
+        #            end
+        #     chain  /  \  chain      contains no other vertex of the chain. It leaves two smaller polygons, each with
+        #    after  /    \  before    an edge of the triangle and a part of the chain.
+        #       start -- end
         pending = [(start, end, chain)]
         while pending:
             start, end, chain = pending.pop()
@@ -304,8 +334,10 @@ class _Mesh:
             best = 0
             for i in range(1, len(chain)):
                 # In-circle test: does the vertex lie inside the circle through start, end and the best one so far?
-                dx, dy = self.points[chain[i]]
-                rows = [(x - dx, y - dy) for x, y in (self.points[vertex] for vertex in (start, end, chain[best]))]
+                # For points a, b, c relative to the vertex, the determinant of the rows (x, y, x^2 + y^2) is
+                # positive.
+                x0, y0 = self.points[chain[i]]
+                rows = [(x - x0, y - y0) for x, y in (self.points[vertex] for vertex in (start, end, chain[best]))]
                 (ax, ay), (bx, by), (cx, cy) = rows
                 a2, b2, c2 = (x * x + y * y for x, y in rows)
                 if a2 * (bx * cy - by * cx) - b2 * (ax * cy - ay * cx) + c2 * (ax * by - ay * bx) > 0:
@@ -314,31 +346,34 @@ class _Mesh:
             for a, b, c in ((start, end, apex), (end, apex, start), (apex, start, end)):
                 self.apex[a, b] = c
                 self.neighbor[a] = b
-            pending += [(chain[best], end, chain[:best]), (start, chain[best], chain[best + 1 :])]
+            pending += [(apex, end, chain[:best]), (start, apex, chain[best + 1 :])]
 
     def _remove(self, u: int, v: int, w: int) -> None:
         for edge in ((u, v), (v, w), (w, u)):
             del self.apex[edge]
 
     def _turn(self, a: int, b: int, c: int) -> int:
+        # Positive if vertex c lies on the left of the line from a to b.
         (ax, ay), (bx, by), (cx, cy) = self.points[a], self.points[b], self.points[c]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
-def _inside(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
-    # Keep the triangles on the free side of walls, and number their half-edges. `wall` is set only for half-edges on
-    # the free side. So of the parts into which walls divide the triangles, those with such a half-edge are free.
+def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
+    """Return ``origin``, ``twin`` and ``wall`` of the :class:`Triangulation` of triangles on the free side."""
+    # 1. Find the wall along each half-edge that has the wall's direction, so that free space is on its left.
     half_edges = _half_edges(triangles)
-    key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
-    wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)
-    blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
-    open_, count = np.flatnonzero(~blocked), len(triangles)
-    adjacency = coo_array((np.ones(len(open_)), (open_ // 3, twin[open_] // 3)), shape=(count, count))
-    _, part = connected_components(adjacency, directed=False)
-    is_inside = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
-    new_index = np.full(count, -1)
-    new_index[is_inside] = np.arange(len(is_inside))
-    rows = (3 * is_inside[:, None] + np.arange(3)).ravel()
-    twin = np.where(blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
-    origin = triangles.ravel()[rows]
-    return origin.astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)
+    key, opposite = (_edge_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
+    wall = index_of(_edge_keys(edges, num_vertices), key)
+    twin = index_of(key, opposite)
+    # 2. Walls divide the triangles into connected parts. A part is free if one of its half-edges has a wall.
+    is_blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
+    passage = np.flatnonzero(~is_blocked)
+    links = np.ones(len(passage)), (passage // 3, twin[passage] // 3)
+    _, part = connected_components(coo_array(links, shape=(len(triangles),) * 2), directed=False)
+    free = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
+    # 3. Number the half-edges of the free triangles.
+    new_index = np.full(len(triangles), -1)
+    new_index[free] = np.arange(len(free))
+    rows = (3 * free[:, None] + np.arange(3)).ravel()
+    twin = np.where(is_blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
+    return triangles.ravel()[rows].astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)

@@ -20,17 +20,20 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
     """Return 2-D cross products, with exact signs if coordinates are 45-bit integers times a common power of two."""
+    # Rounding of the products p and q may change the sign of p - q if they are nearly equal. Then add their rounding
+    # errors: the exact result is (p + error of p) - (q + error of q).
     # Dekker, "A floating-point technique for extending the available precision" (1971).
     p, q = ux * vy, uy * vx
     result = np.asarray(p - q)
-    doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
-    if doubted.any():
-        a, b, c, d = (np.broadcast_to(factor, result.shape)[doubted] for factor in (ux, vy, uy, vx))
-        result[doubted] += _product_error(a, b) - _product_error(c, d)
+    is_doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
+    if is_doubted.any():
+        a, b, c, d = (np.broadcast_to(factor, result.shape)[is_doubted] for factor in (ux, vy, uy, vx))
+        result[is_doubted] += _product_error(a, b) - _product_error(c, d)
     return result
 
 
 def _product_error(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return the exact product minus the rounded one, from products of the factors' halves, which are exact."""
     high_a, high_b = (_SPLIT * factor - (_SPLIT * factor - factor) for factor in (a, b))
     low_a, low_b = a - high_a, b - high_b
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
@@ -47,6 +50,7 @@ def left_normal(u: Vectors) -> Vectors:
 def pseudo_angle(dx: Batch, dy: Batch) -> Batch:
     """Map directions to [0, 4], growing with the angle, but faster to compute; the zero vector gives 0."""
     length = np.abs(dx) + np.abs(dy)
+    # The slant falls from 1 at angle 0 to -1 at angle pi, and rises again.
     slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
     return np.where(dy >= 0, 1.0 - slant, 3.0 + slant)
 
@@ -65,6 +69,7 @@ def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Bat
 
 def nearest_on_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> tuple[Batch, Batch]:
     """Return the point nearest to the origin on each segment from ``(x, y)`` to ``(x + dx, y + dy)``."""
+    # The point (x, y) + t (dx, dy) is nearest for t = -(x, y) . (dx, dy) / |(dx, dy)|^2, cut off at the ends.
     squared = dx * dx + dy * dy
     t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
     return x + t * dx, y + t * dy
@@ -82,11 +87,13 @@ def arc(
 
     If ``outside``, return the corners of the polyline of the tangents at these points.
     """
+    # At angle a from `start`, the offset from the center is cos(a) start + sin(a) (start turned left).
     turn = turn_between(start, end)
     angle = np.linspace(0.0, turn, num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end
-    if outside:  # the tangents at the ends of a chord meet above its middle
+    if outside:
+        # The tangents at the ends u, v of a chord of angle a meet at (u + v) / 2 / cos(a / 2)^2.
         corners = (points[:-1] + points[1:]) / (1 + np.cos(turn / num_chords))
         points = np.concatenate([start[None], corners, end[None]])
     return center + points

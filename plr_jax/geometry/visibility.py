@@ -21,7 +21,8 @@ from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, t
 # leaves a triangle through an edge. If the edge is a wall, the cone ends there. Else the opposite corner of the next
 # triangle splits the cone in two, one for each exit edge, unless the corner lies outside the cone or on a bound.
 # Cones of many viewpoints advance together. The tests are exact, since vertices and viewpoints lie on a grid.
-_MOST, _VIEWS = 1 << 18, 1 << 12  # cones that advance at a time, and viewpoints processed at a time
+_CONES = 1 << 18  # cones that advance at a time
+_VIEWS = 1 << 12  # viewpoints processed at a time
 _BLUR = 1e-14  # rounding error of a pseudo-angle, with a margin
 _NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
@@ -64,14 +65,14 @@ class Viewpoints:
 
 def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
     """Return points of free space, which must be distinct, as viewpoints; they are rounded to the grid."""
-    boundary, place = triangulation.boundary, triangulation.place(x)
-    starts, points = (places @ [1, 1j] for places in (boundary.vertices[boundary.edges[:, 0]], place.x))
-    owner = index_of(points, starts)
-    wall = triangulation.wall[3 * place.triangle + place.on_side.argmax(axis=1)]
-    on_wall = place.on_side.any(axis=1) & (wall >= 0)
-    on_wall[owner[owner >= 0]] = False
-    edge, inside = np.flatnonzero(owner >= 0), np.flatnonzero(on_wall)
-    return Viewpoints(place.x, np.append(owner[edge], inside), np.append(edge, wall[inside]))
+    boundary, places = triangulation.boundary, triangulation.place(x)
+    # A point at a vertex owns the sectors of all edges that start there. A point inside of a wall owns one sector.
+    starts = boundary.vertices[boundary.edges[:, 0]]
+    owner = index_of(places.x @ [1, 1j], starts @ [1, 1j])
+    edge = np.flatnonzero(owner >= 0)
+    wall = triangulation.wall[3 * places.triangle + places.on_side.argmax(axis=1)]
+    on_wall = np.setdiff1d(np.flatnonzero(places.on_side.any(axis=1) & (wall >= 0)), owner)
+    return Viewpoints(places.x, np.append(owner[edge], on_wall), np.append(edge, wall[on_wall]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,24 +98,31 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Return pairs (viewpoint, triangle): a part of the triangle is visible within the viewpoint's directions."""
-    # Viewpoint ``i`` looks counterclockwise from ``right[i]`` to ``left[i]``, at most half a turn. Zero vectors stand
-    # for all directions.
-    far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
-    # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
+    """Return pairs (viewpoint, triangle): a part of the triangle is visible within the viewpoint's directions.
+
+    Viewpoint ``i`` looks counterclockwise from unit vector ``right[i]`` to ``left[i]``, at most half a turn. Zero
+    vectors stand for all directions.
+    """
+    # 1. Widen these ranges by the angle of the tolerance at the farthest distance, to allow for rounded directions,
+    #    except those that are half a turn wide up to rounding.
+    far = np.ptp(triangulation.boundary.vertices, axis=0).max()
     wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
-    right, left = far * right - wider[:, None] * turned_left(right), far * left + wider[:, None] * turned_left(left)
-    # Intersect each cone of sight with the cone of its viewpoint.
-    right, left, bounds = right[cones.view].T, left[cones.view].T, (cones.right, cones.left)
-    whole = ~right.any(axis=0)
-    from_right = _inside(right, *bounds), _inside(cones.right, right, left)
-    from_left = _inside(left, *bounds), _inside(cones.left, right, left)
-    meeting = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
-    right = np.where(from_right[0] & ~whole, right, cones.right)
-    left = np.where(from_left[0] & ~whole, left, cones.left)
-    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(meeting)
+    right = far * right - wider[:, None] * turned_left(right)
+    left = far * left + wider[:, None] * turned_left(left)
+    # 2. Intersect each cone of sight with the range of its viewpoint. They meet if the right bound of one lies in the
+    #    other, and the left bound of one, too. The intersection has a bound of the range if this lies in the cone.
+    cones = _first_cones(triangulation, views)
+    right, left = right[cones.view].T, left[cones.view].T
+    is_whole = ~right.any(axis=0)
+    cuts_right, cuts_left = (_inside(bound, cones.right, cones.left) for bound in (right, left))
+    meets = cuts_right | _inside(cones.right, right, left)
+    meets &= cuts_left | _inside(cones.left, right, left)
+    right = np.where(cuts_right & ~is_whole, right, cones.right)
+    left = np.where(cuts_left & ~is_whole, left, cones.left)
+    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(np.flatnonzero(is_whole | meets))
+    # 3. Collect the triangles that these cones visit.
     visited = [np.stack([first.view, first.half_edge // 3])]
-    visited += [new for _, _, new in _expansion(triangulation, views, first)]
+    visited += [new for _, _, new in _expand(triangulation, views, first)]
     return np.concatenate(visited, axis=1)
 
 
@@ -122,16 +130,15 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
-def _expansion(
-    triangulation: Triangulation, views: Viewpoints, first: _Cones
-) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    # Yields cones that end at walls, and pairs of a viewpoint with a vertex seen and with a triangle visited.
-    pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
+def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
+    """Yield cones that end at walls, and pairs of a viewpoint with a vertex seen and with a triangle visited."""
+    pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
+        # 1. Cones through walls end. The others go on.
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
         walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
-        # The opposite corner of the next triangle may be seen, and may split the cone:
+        # 2. The opposite corner of the next triangle may be seen, and may split the cone:
         #
         #          c                c: the corner ahead, the origin of the left exit
         #         / \
@@ -140,44 +147,54 @@ def _expansion(
         #      b-------a            b, a: the ends of the side through which it enters, as seen from the viewpoint
         #       \     /
         #      viewpoint
-        view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
         right_exit, left_exit = next_half_edge(entry), previous_half_edge(entry)
         ahead = triangulation.origin[left_exit]
-        x, y = (triangulation.boundary.vertices[ahead] - views.points[view]).T
-        from_right, from_left = orientation(rx, ry, x, y), orientation(x, y, lx, ly)
-        seen = (from_right >= 0) & (from_left >= 0)
+        x, y = (triangulation.boundary.vertices[ahead] - views.points[cones.view]).T
+        from_right, from_left = orientation(*cones.right, x, y), orientation(x, y, *cones.left)
+        is_seen = (from_right >= 0) & (from_left >= 0)
         goes_right, goes_left = from_right > 0, from_left > 0
         goes_right |= ~goes_left & (from_right >= from_left)  # every cone goes on at least one way
         goes_left |= ~goes_right
-        parted = goes_right & goes_left
         right, left = np.flatnonzero(goes_right), np.flatnonzero(goes_left)
         onward = cones.take(np.concatenate([right, left]))
         onward.half_edge[:] = np.concatenate([right_exit.take(right), left_exit.take(left)])
-        # If the cone splits, the corner ahead is the left bound of the right part and vice versa.
-        of_right, of_left = np.flatnonzero(parted.take(right)), np.flatnonzero(parted.take(left))
-        middle, of_left = left.take(of_left), of_left + len(right)
-        onward.vertex[of_left] = ahead.take(middle)
+        # 3. If the cone splits, the corner ahead is the left bound of the right part and vice versa.
+        is_split = goes_right & goes_left
+        split = np.flatnonzero(is_split)
+        right_part = np.flatnonzero(is_split.take(right))
+        left_part = np.flatnonzero(is_split.take(left)) + len(right)
+        onward.vertex[left_part] = ahead.take(split)
         for axis, along in enumerate((x, y)):
-            onward.right[axis, of_left] = along.take(middle)
-            onward.left[axis, of_right] = along.take(right.take(of_right))
-        pending += [onward[begin : begin + _MOST] for begin in range(0, len(onward), _MOST)]
-        yield walls, np.stack([view[seen], ahead[seen]]), np.stack([view, entry // 3])
+            onward.right[axis, left_part] = along.take(split)
+            onward.left[axis, right_part] = along.take(split)
+        pending += [onward[begin : begin + _CONES] for begin in range(0, len(onward), _CONES)]
+        yield walls, np.stack([cones.view[is_seen], ahead[is_seen]]), np.stack([cones.view, entry // 3])
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     """Return the cones from viewpoints through the sides of their first triangles."""
-    around = np.setdiff1d(np.arange(len(views.points)), views.owner)  # points without sectors
+    # 1. Viewpoints without sectors look through all three sides of their triangle.
+    around = np.setdiff1d(np.arange(len(views.points)), views.owner)
     triangle, _ = triangulation.locate(views.points[around])
     pairs = [(around, 3 * triangle + side) for side in range(3)]
-    half_edge, view = triangulation.of_wall[views.edge], views.owner
+    # 2. Viewpoints inside of a wall look through the two other sides of the wall's triangle.
+    view, half_edge = views.owner, triangulation.of_wall[views.edge]
     at_vertex = views.at_vertex(triangulation.boundary)
     pairs += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
-    half_edge, view = half_edge[at_vertex], view[at_vertex]
-    while len(view):  # turn around the vertex, triangle by triangle, to the wall at which the sector closes
+    # 3. Viewpoints at vertices look through the opposite sides of all triangles of their sectors. Turn around the
+    #    vertex, triangle by triangle, from the wall that opens the sector to the wall that closes it:
+    #
+    #            /\  opposite side       The triangle on the left of half-edge h, which starts at vertex v, has the
+    #     next  /  \                     opposite side next_half_edge(h). The next half-edge from v, counterclockwise,
+    #          v----                     is the twin of previous_half_edge(h); there is none if that is a wall.
+    #            h
+    view, half_edge = view[at_vertex], half_edge[at_vertex]
+    while len(view):
         pairs.append((view, next_half_edge(half_edge)))
         half_edge = triangulation.twin[previous_half_edge(half_edge)]
-        half_edge, view = half_edge[half_edge >= 0], view[half_edge >= 0]
+        view, half_edge = view[half_edge >= 0], half_edge[half_edge >= 0]
+    # 4. Bound each cone by the ends of its side: half-edges go counterclockwise around the viewpoint.
     view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*pairs, strict=True))
     right, left = triangulation.origin[half_edge], triangulation.origin[next_half_edge(half_edge)]
     vertices, points = triangulation.boundary.vertices, views.points[view]
@@ -204,6 +221,7 @@ class VisibilityTable:
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         """Return whether viewpoint ``v[i]`` sees ``x[i]``; corners that touch the line on both sides block it."""
+        # 1. Find the interval of each direction by its key.
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
         dx, dy = (x - self.points[v]).T
@@ -211,24 +229,29 @@ class VisibilityTable:
         key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
         row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
         seen = self._in_front(row, x)
-        apart = np.abs(self.key[[row, np.minimum(row + 1, len(self.key) - 1)]] - key).min(axis=0)
-        if len(near := np.flatnonzero(apart <= self.blur)):
-            # Find the interval of the direction exactly; also test the previous one if the direction is its end.
+        # 2. Where the key is within rounding of an interval's start, find the interval exactly: the last one that
+        #    does not start on the left of the point. If the point is on the ray at which that interval starts, the
+        #    ray is also the end of the previous interval, and the point is seen if it is in front of either edge.
+        gap = np.abs(self.key[[row, np.minimum(row + 1, len(self.key) - 1)]] - key).min(axis=0)
+        if len(near := np.flatnonzero(gap <= self.blur)):
             row, v, x, key = row[near], v[near], x[near], key[near]
-            while (ahead := self._side_of_start(row + 1, v, x, key) >= 0).any():
-                row += ahead
-            while (behind := (side := self._side_of_start(row, v, x, key)) < 0).any():
-                row -= behind
+            while (is_before := self._side_of_start(row + 1, v, x, key) >= 0).any():
+                row += is_before
+            while (is_after := (side := self._side_of_start(row, v, x, key)) < 0).any():
+                row -= is_after
             seen[near] = self._in_front(row, x) | ((side == 0) & self._in_front(row - 1, x))
-            seen[near] |= (x == self.points[v]).all(axis=1)
+            seen[near] |= (x == self.points[v]).all(axis=1)  # viewpoints see themselves
         return seen
 
     def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
-        # Positive if the point lies left of the ray at which interval ``row`` starts, 0 on it, negative right of it.
-        inside = (row > self.first[v]) & (row < self.first[v + 1])
+        """Return the point's side of the ray at which interval ``row`` starts: positive on the left, 0 on the ray.
+
+        A point is on the left of the cut for the first interval, and on its right for the row after the last one.
+        """
+        has_vertex = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
-        side[inside] = key[inside] - self.key[row[inside]]
-        near = np.flatnonzero(inside & (np.abs(side) <= self.blur))
+        side[has_vertex] = key[has_vertex] - self.key[row[has_vertex]]
+        near = np.flatnonzero(has_vertex & (np.abs(side) <= self.blur))
         start = self.boundary.vertices[self.vertex[row[near]]]
         side[near] = orientation(*(start - self.points[v[near]]).T, *(x[near] - self.points[v[near]]).T)
         return side
@@ -246,6 +269,7 @@ class VisibilityTable:
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
+    """Return the table of all viewpoints, one table after the other, of tables for the same boundary."""
     points, cut, key, edge, vertex = concatenated(tables, "points", "cut", "key", "edge", "vertex")
     first = np.append(0, np.cumsum(np.concatenate([np.diff(table.first) for table in tables])))
     views = np.cumsum([0] + [len(table.points) for table in tables[:-1]])
@@ -267,58 +291,66 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
     # 1. Collect the cones that end at walls and the visible vertices, among them corners of triangles at viewpoints.
-    boundary, index, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
+    boundary, index = triangulation.boundary, np.arange(len(views.points))
+    cones = _first_cones(triangulation, views)
     corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
     ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]
-    for walls, new_seen, _ in _expansion(triangulation, views, cones):
+    for walls, new_seen, _ in _expand(triangulation, views, cones):
         ended.append(walls)
         seen.append(new_seen)
     bounds = [np.concatenate([getattr(part, name) for part in ended], axis=1) for name in ("right", "left")]
     cones = _Cones(*concatenated(ended, "view", "half_edge", "vertex"), *bounds)
     # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its
     #    first sector, or the middle of its widest cone if it has no sector or the gap is narrow.
-    closing = views.closes(boundary)
-    opens, closes = (np.arctan2(u[:, 1], u[:, 0]) for u in (views.opens(boundary), closing))
-    order = np.lexsort((opens, views.owner))
+    #    If the first sector is the only one, the gap ends where this sector opens. By rounding, a tiny gap may become
+    #    almost 2 pi; then the exact test finds that its end is on the left of its start.
+    opening, closing = views.opens(boundary), views.closes(boundary)
+    opening_angle, closing_angle = (np.arctan2(u[:, 1], u[:, 0]) for u in (opening, closing))
+    order = np.lexsort((opening_angle, views.owner))
     owner, first = np.unique(views.owner[order], return_index=True)
     second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
-    end = closes[order[first]]
-    angle, between = np.empty(len(index)), np.zeros(len(index))
-    between[owner] = (opens[order[second]] - end) % (2 * np.pi)
-    angle[owner] = end + between[owner] / 2
-    u, v = closing[order[first]], views.opens(boundary)[order[second]]
-    narrow = between < _NARROW
-    narrow[owner] |= (between[owner] > 2 * np.pi - _NARROW) & (orientation(*u.T, *v.T) > 0)
-    for view in np.flatnonzero(narrow):
-        some = cones.view == view
-        (rx, ry), (lx, ly) = cones.right[:, some], cones.left[:, some]
+    first, second = order[first], order[second]
+    gap = np.zeros(len(index))
+    gap[owner] = (opening_angle[second] - closing_angle[first]) % (2 * np.pi)
+    angle = np.empty(len(index))
+    angle[owner] = closing_angle[first] + gap[owner] / 2
+    is_narrow = gap < _NARROW
+    is_narrow[owner] |= (gap[owner] > 2 * np.pi - _NARROW) & (orientation(*closing[first].T, *opening[second].T) > 0)
+    for view in np.flatnonzero(is_narrow):
+        is_own = cones.view == view
+        (rx, ry), (lx, ly) = cones.right[:, is_own], cones.left[:, is_own]
         width = np.arctan2(np.abs(orientation(rx, ry, lx, ly)), rx * lx + ry * ly)
         widest = width.argmax()
         angle[view] = np.arctan2(ry[widest], rx[widest]) + width[widest] / 2
     cut = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # 3. Sort the intervals by key. There is one for each cone, one for each gap after a sector, and one from the cut
-    #    on, where a viewpoint sees the same edge as at the end of the turn.
+    # 3. Sort the starts of intervals by key. An interval starts at the right bound of each cone, where its wall is
+    #    the nearest edge, and at the closing wall of each sector, where no edge is.
     view = np.concatenate([cones.view, views.owner])
-    (dx, dy), (cx, cy) = np.concatenate([cones.right, closing.T], axis=1), cut[view].T
+    dx, dy = np.concatenate([cones.right, closing.T], axis=1)
+    cx, cy = cut[view].T
     key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
     edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
     vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
     order = np.argsort(key)
-    # Sort directions that are equal up to rounding exactly.
-    close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(index))
-    near = np.flatnonzero(close)
+    # 4. Sort directions that are equal up to rounding exactly, by swaps of neighbors in the wrong order: row k of
+    #    `order` and row k + 1, for each k in `near`. Swaps of one round must not overlap; they may make neighbors
+    #    wrong.
+    is_close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(index))
+    near = np.flatnonzero(is_close)
     while len(near):
         a, b = order[near], order[near + 1]
         near = near[(view[a] == view[b]) & (orientation(dx[a], dy[a], dx[b], dy[b]) < 0)]
         near = near[np.append(True, np.diff(near) > 1)[: len(near)]]
         order[near], order[near + 1] = order[near + 1], order[near]
         near = np.unique(np.concatenate([near - 1, near, near + 1]))
-        near = near[close[near] & (near >= 0)]
+        near = near[is_close[near] & (near >= 0)]
     view, key, edge, vertex = view[order], np.sort(key), edge[order], vertex[order]
+    # 5. Start an interval at the cut, where a viewpoint sees the same edge as at the end of the turn.
     first, last = np.searchsorted(view, index), np.searchsorted(view, index, side="right") - 1
     added = (view, index), (key, 4.0 * index), (edge, edge[last]), (vertex, np.full(len(index), -1))
     view, key, edge, vertex = (np.insert(a, first, b) for a, b in added)
-    new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
-    first = np.searchsorted(view[new], np.arange(len(index) + 1))
-    rows = first, key[new], edge[new], vertex[new]
+    # 6. Unite neighboring intervals with one edge.
+    is_start = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
+    first = np.searchsorted(view[is_start], np.arange(len(index) + 1))
+    rows = first, key[is_start], edge[is_start], vertex[is_start]
     return VisibilityTable(boundary, triangulation.tolerance, views.points, cut, *rows), np.concatenate(seen, axis=1)

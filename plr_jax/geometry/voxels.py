@@ -23,13 +23,15 @@ _AXES = range(1, 5)
 _LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
 Coordinates = Float[np.ndarray, "dim n"]
 Numbers = Int[np.ndarray, "dim n"]
+NumbersAlong = Int[np.ndarray, " n"]
+Cells = Bool[np.ndarray, "..."]
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
     """Free and blocked voxels that fill a box; methods use voxel numbers, which start at 1 (see the module)."""
 
-    free: Bool[np.ndarray, "..."]  # read-only
+    free: Cells  # read-only
     bounds: Box
 
     @classmethod
@@ -41,8 +43,7 @@ class VoxelGrid:
         if not voxels.any():
             raise ValueError(f"free must have at least one free voxel, got none in shape {voxels.shape}.")
         voxels.flags.writeable = False
-        shape = np.array(voxels.shape)
-        box = Box(np.zeros(len(shape)), shape) if bounds is None else Box.of(bounds, "The bounds")
+        box = Box(np.zeros(voxels.ndim), voxels.shape) if bounds is None else Box.of(bounds, "The bounds")
         if box.dim != voxels.ndim:
             raise ValueError(
                 f"The bounds must have {voxels.ndim} axes, as free[x, y, ...] has, got {shortened(bounds)}."
@@ -50,7 +51,7 @@ class VoxelGrid:
         if box.is_periodic:
             raise ValueError(f"The bounds of voxels must not have periodic axes, got {box}.")
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
-        if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / shape).min() < least:
+        if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / voxels.shape).min() < least:
             raise ValueError(
                 f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, "
                 f"got {voxels.shape} of them in {box}: choose fewer voxels, or bounds less slender or nearer to zero."
@@ -70,10 +71,10 @@ class VoxelGrid:
         """Coordinates of the faces along each axis, ascending, with ``-inf`` before and ``inf`` after them."""
         fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
         inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
-        return [np.concatenate([[-np.inf], inner_faces, [np.inf]]) for inner_faces in inner]
+        return [np.concatenate([[-np.inf], of_axis, [np.inf]]) for of_axis in inner]
 
     @cached_property
-    def padded(self) -> Bool[np.ndarray, "..."]:
+    def padded(self) -> Cells:
         """``free`` with a layer of blocked voxels around it; voxel numbers, which start at 1, are its indices."""
         return np.pad(self.free, 1)
 
@@ -82,9 +83,9 @@ class VoxelGrid:
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 
-    def numbers_along(
-        self, axis: int, x: Float[np.ndarray, " n"]
-    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    def numbers_along(self, axis: int, x: Float[np.ndarray, " n"]) -> tuple[NumbersAlong, NumbersAlong]:
+        """Return the least and largest number, along one axis, of voxels that contain each coordinate."""
+        # The quotient is right up to rounding: compare exactly with the faces below and above that voxel.
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
         guess -= x < faces[guess]
@@ -104,17 +105,18 @@ class VoxelGrid:
         first, last = first.copy(), last.copy()
         for axis in range(self.dim):
             for moved, inward in ((first, 1), (last, -1)):
-                # Bisection: at least ``none`` and at most ``most`` layers from this end have no free voxel.
-                none, most = np.zeros_like(first[axis]), np.maximum(last[axis] - first[axis] + 1, 0)
-                while len(rows := np.flatnonzero(none < most)):
-                    num = (none[rows] + most[rows] + 1) // 2
+                # Bisection of the number of layers at this end that have no free voxel: it is from `least` to `most`.
+                least, most = np.zeros_like(first[axis]), np.maximum(last[axis] - first[axis] + 1, 0)
+                while len(rows := np.flatnonzero(least < most)):
+                    num_layers = (least[rows] + most[rows] + 1) // 2
                     begin, end = first[:, rows], last[:, rows]
-                    (end if inward > 0 else begin)[axis] = moved[axis, rows] + inward * (num - 1)
+                    inner_end = end if inward > 0 else begin
+                    inner_end[axis] = moved[axis, rows] + inward * (num_layers - 1)
                     num_voxels = np.prod(np.maximum(end - begin + 1, 0), axis=0)
                     is_blocked = self.num_blocked(begin, end) == num_voxels
-                    none[rows] = np.where(is_blocked, num, none[rows])
-                    most[rows] = np.where(is_blocked, most[rows], num - 1)
-                moved[axis] += inward * none
+                    least[rows] = np.where(is_blocked, num_layers, least[rows])
+                    most[rows] = np.where(is_blocked, most[rows], num_layers - 1)
+                moved[axis] += inward * least
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, " n"]:
@@ -122,25 +124,30 @@ class VoxelGrid:
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
+            # Across the contact's axes, count the faces from ``lo`` to ``hi``, along the others, open voxels. The
+            # face above voxel k has index k: the first one is above the lowest voxel that contains ``lo``.
             is_across = np.isin(np.arange(self.dim), across)[:, None]
-            # Across the contact's axes, count the faces from ``lo`` to ``hi``; along the others, open voxels.
             first, last = np.where(is_across, below_lo, above_lo), np.where(is_across, above_hi - 1, below_hi)
             touches |= contacts.within(first, last) > 0
         return touches
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Edges and corners where free voxels touch, but no faces join them: pairs (normal axes, table of counts)."""
+        """Edges and corners where free voxels touch, but no faces join them: pairs (normal axes, table of counts).
+
+        A table's index is the number of a voxel along an edge, and of the voxel below the edge or corner across it.
+        """
         contacts, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
-            is_parted = disconnected_sets(num_across)
+            is_disconnected = disconnected_sets(num_across)
             for across in combinations(range(self.dim), num_across):
+                # Bit i of `around` says whether voxel i of the ``2**num_across`` voxels around is free.
                 around = np.zeros([n - (axis in across) for axis, n in enumerate(shape)], np.uint16)
-                for bit, side in enumerate(product((0, 1), repeat=num_across)):
-                    of = dict(zip(across, side, strict=True))
-                    part = tuple(slice(of[a], n - 1 + of[a]) if a in of else slice(None) for a, n in enumerate(shape))
-                    around |= self.padded[part].astype(np.uint16) << np.uint16(bit)
-                touches = is_parted[around]
+                for bit, sides in enumerate(product((0, 1), repeat=num_across)):
+                    side = dict(zip(across, sides, strict=True))  # of each axis across: 0 below, 1 above
+                    voxels = tuple(slice(side.get(a, 0), n - 1 + side.get(a, 1)) for a, n in enumerate(shape))
+                    around |= self.padded[voxels].astype(np.uint16) << np.uint16(bit)
+                touches = is_disconnected[around]
                 if touches.any():
                     contacts.append((across, Sums.of(touches)))
         return contacts
@@ -154,7 +161,7 @@ class Sums:
     strides: Int[np.ndarray, " dim"]
 
     @classmethod
-    def of(cls, array: Bool[np.ndarray, "..."]) -> "Sums":
+    def of(cls, array: Cells) -> "Sums":
         table = np.pad(array, [(1, 0)] * array.ndim).astype(np.int32 if array.size < 2**31 else np.int64)
         for axis in range(array.ndim):
             np.cumsum(table, axis=axis, out=table)
@@ -162,7 +169,8 @@ class Sums:
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         """Count the true entries from ``first`` to ``last``, both included, along all axes."""
-        # Inclusion and exclusion: add the table's entries at the range's corners, with a minus for each lower end.
+        # Inclusion and exclusion: entry (i, j, ...) of the table counts indices below i, j, ... So add the entries at
+        # all corners of the range, with a minus for each lower end.
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)
@@ -196,31 +204,33 @@ def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
     return (free & ~spread(first & free, free)).any(axis=1)
 
 
-def reach_of_cells(
-    reached: Bool[np.ndarray, "..."], cut_off: Bool[np.ndarray, "..."], bounds: Box, domain: Box
-) -> Reach:
+def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
     """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
     from scipy import ndimage
 
-    # Periodic axes have a period more on either side.
-    shape, periodic = np.array(reached.shape), np.array(bounds.periodic)
-    more = np.where(periodic, shape, 0)
-    reached, cut_off = (np.pad(cells, np.stack([more, more], axis=1), mode="wrap") for cells in (reached, cut_off))
+    # 1. Repeat cells along periodic axes, a period more on either side.
+    shape = np.array(reached.shape)
+    padding = np.where(bounds.periodic, shape, 0)
+    pairs = np.stack([padding, padding], axis=1)
+    reached, cut_off = (np.pad(cells, pairs, mode="wrap") for cells in (reached, cut_off))
+    # 2. Find the cells that may hold far points: points of two cells are at most a cell's diagonal farther apart than
+    #    the cells' centers.
     far = np.zeros_like(cut_off)
     if cut_off.any() and reached.any():
         side = bounds.width / shape / domain.width
         away: Any = ndimage.distance_transform_edt(~reached, sampling=side)  # between centers of cells
         far = cut_off & (away > FAR - np.linalg.norm(side))
 
-    def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
-        # A test of boxes: whether a box meets any of the cells, by a summed-area table.
+    # 3. Make tests of boxes: whether a box meets any of some cells, by a summed-area table.
+    def test_of(cells: Cells) -> BoxTest:
         sums = Sums.of(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-            first, last = ((domain.lo + end * domain.width - bounds.lo) / bounds.width * shape for end in (lo, hi))
-            ends = (np.clip(end + more, 0, reached.shape).astype(int) for end in (np.floor(first), np.ceil(last)))
-            return sums.within(next(ends).T, next(ends).T - 1) > 0
+            begin, end = ((domain.lo + x * domain.width - bounds.lo) / bounds.width * shape for x in (lo, hi))
+            ends = np.floor(begin) + padding, np.ceil(end) + padding
+            begin, end = (np.clip(x, 0, reached.shape).astype(int).T for x in ends)
+            return sums.within(begin, end - 1) > 0
 
         return test
 
-    return Reach(*map(counting, (reached, cut_off, far)))
+    return Reach(*map(test_of, (reached, cut_off, far)))

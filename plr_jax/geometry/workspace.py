@@ -150,8 +150,7 @@ class Workspace:
             squeeze: Whether a path may pass between two obstacles that touch in a single point.
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
-        x0, y0, x1, y1 = region.bounds
-        return cls._from_free_space(as_bounds(((x0, y0), (x1, y1))), region, squeeze, rounded_one_by_one)
+        return cls._from_free_space(as_bounds(np.reshape(region.bounds, (2, 2))), region, squeeze, rounded_one_by_one)
 
     @classmethod
     def _from_free_space(
@@ -213,12 +212,14 @@ class Workspace:
         settled = domain.settled(x)
         if settled is x or not len(inside := np.flatnonzero(domain.contains(settled.reshape(-1, 2)))):
             return settled
-        points = settled.reshape(-1, 2)
+        points = settled.reshape(-1, 2)  # a view: changes of the points change the result
         step = np.hypot(*np.spacing(np.asarray(x).reshape(-1, 2)[inside]).T).astype(np.float64)
-        away = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[inside].T))
-        row, _, foot = self.boundary.feet(points[inside[away]], float(step.max()))
-        near = np.linalg.norm(foot - points[inside[away[row]]], axis=1) <= step[away[row]]
-        points[inside[away[row[near]]]] = np.clip(foot[near], domain.lo, domain.hi)
+        # 1. Move points that are not free to the nearest wall, if it is within a step.
+        blocked = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[inside].T))
+        row, _, foot = self.boundary.feet(points[inside[blocked]], float(step.max()))
+        is_near = np.linalg.norm(foot - points[inside[blocked[row]]], axis=1) <= step[blocked[row]]
+        points[inside[blocked[row[is_near]]]] = np.clip(foot[is_near], domain.lo, domain.hi)
+        # 2. Move points to contacts within a step.
         places: Any = shapely.points(points[inside])
         row, contact = self.boundary.contact_tree.query(places, predicate="dwithin", distance=step)
         points[inside[row]] = self.boundary.vertices[self.boundary.contacts[contact]]
@@ -245,21 +246,23 @@ class Workspace:
         x, goal = as_points("x", self.settled(x), 2), as_finite_point("goal", self.settled(goal), 2)
         parts, is_reached = shapely.get_parts(self.free_space), self.is_free(x)
         tree = shapely.STRtree(parts[joined_parts(parts, goal[None], self.tolerance, self.squeeze)])
-        points: Any = shapely.points(x)
-        beside = tree.query(points, predicate="dwithin", distance=self.tolerance)[0]
+        beside = tree.query(np.asarray(shapely.points(x)), predicate="dwithin", distance=self.tolerance)[0]
         return is_reached & np.isin(np.arange(len(x)), beside)
 
     def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points that reach one of several goals; None if all reach one."""
+        # 1. Find the connected parts of free space that reach a goal.
         parts = shapely.get_parts(self.free_space)
         if len(parts) < 2:
             return None
-        reaches = joined_parts(parts, goals, self.tolerance, self.squeeze)
-        if reaches.all():
+        is_reached = joined_parts(parts, goals, self.tolerance, self.squeeze)
+        if is_reached.all():
             return None
+        # 2. Scale the parts to fractions of the domain.
         parts = shapely.transform(parts, lambda x: (x - domain.lo) / domain.width)
-        reached, cut_off = (shapely.multipolygons(parts[some]) for some in (reaches, ~reaches))
-        x0, y0, x1, y1 = shapely.bounds(parts[~reaches]).T
+        reached, cut_off = shapely.multipolygons(parts[is_reached]), shapely.multipolygons(parts[~is_reached])
+        # 3. Subtract the points near reached ones from cut-off parts. Only reached points near these parts matter.
+        x0, y0, x1, y1 = shapely.bounds(parts[~is_reached]).T
         around = shapely.union_all(shapely.box(x0 - FAR, y0 - FAR, x1 + FAR, y1 + FAR))
         near = shapely.buffer(shapely.intersection(reached, around), FAR)
         return Reach(*map(_meeting, (reached, cut_off, shapely.difference(cut_off, near))))
@@ -293,18 +296,22 @@ class Workspace:
         if len(a) != len(b):
             raise ValueError(f"Segments must have as many starts as ends, got {len(a)} and {len(b)}.")
         tolerance = self.tolerance if tolerance is None else as_finite("tolerance", tolerance)
+        # 1. Both ends of a visible segment are within the tolerance of free space, and the segment is within twice
+        #    it.
         free = self._grown(tolerance)
         visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
-        # Grown free space lacks thin walls and opens contacts: test some segments exactly.
+        # 2. Grown free space lacks thin walls and opens contacts: doubt segments that leave free space, or pass
+        #    contacts.
         stays = visible[moving]
         moving, segments = moving[stays], segments[stays]
         free_space = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))
-        doubted = ~shapely.covers(free_space, segments)
-        doubted[self.boundary.contact_tree.query(segments, predicate="dwithin", distance=tolerance)[0]] = True
-        if len(moving := moving[doubted]):
+        is_doubted = ~shapely.covers(free_space, segments)
+        is_doubted[self.boundary.contact_tree.query(segments, predicate="dwithin", distance=tolerance)[0]] = True
+        # 3. Test these exactly.
+        if len(moving := moving[is_doubted]):
             mesh = self.triangulation
             visible[moving] = mesh.are_joined(mesh.place(a[moving]), mesh.place(b[moving]), tolerance, self.squeeze)
         return visible
@@ -346,14 +353,17 @@ class Workspace:
         obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)
         if not self._is_in_place:  # vertices have moved by more than rounding, so obstacles may no longer fit
             return Workspace(self.bounds, obstacles, squeeze=self.squeeze)
-        box, grid, removed = shapely.box(*self.bounds.lo, *self.bounds.hi), grid_of(self.bounds), sorted(gone)
-        free, opened = self.free_space, [self.obstacles[i] for i in removed]
-        beside = np.array(obstacles)[shapely.intersects(obstacles, shapely.union_all(opened))].tolist()
-        free, box, *merged = merge_vertices([free, box, *opened, *beside, *added], 8 * grid)
-        if opened:
-            opened, beside = merged[: len(removed)], merged[len(removed) : len(removed) + len(beside)]
-            opened = shapely.intersection(box, shapely.union_all(opened))
-            free = shapely.union(free, shapely.difference(opened, shapely.union_all(beside)))
+        # 1. Make vertices equal that differ by rounding: of free space, and of removed, added and adjacent obstacles.
+        box = shapely.box(*self.bounds.lo, *self.bounds.hi)
+        removed = [self.obstacles[i] for i in sorted(gone)]
+        beside = np.array(obstacles)[shapely.intersects(obstacles, shapely.union_all(removed))].tolist()
+        geometries = [self.free_space, box, *removed, *beside, *added]
+        free, box, *merged = merge_vertices(geometries, 8 * grid_of(self.bounds))
+        # 2. Add the removed obstacles to free space, where no other obstacle covers them, and subtract added ones.
+        if removed:
+            opened = shapely.intersection(box, shapely.union_all(merged[: len(removed)]))
+            covered = shapely.union_all(merged[len(removed) : len(removed) + len(beside)])
+            free = shapely.union(free, shapely.difference(opened, covered))
         if added:
             free = shapely.difference(free, shapely.union_all(merged[len(merged) - len(added) :]))
         region = region_after_change(free, self.bounds, self.boundary)
