@@ -123,7 +123,7 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges_to(self, goal: int, space: ConfigurationSpace) -> Edges:
-        """Return the edges to a goal whose cell is not free, from its nearest nodes: those that the space proves free."""
+        """Return the edges from near nodes to a goal whose cell is not free; the space proves that they are free."""
         num, motion_cost, cost_map = len(self.mesh.nodes), self.costs.motion_cost, self.costs.cost_map
         change = self._changes(np.arange(num), np.full(num, goal))
         most = max(_MOST_NEAR_GOALS // len(self.goals), _LEAST_NEAR_GOAL)
