@@ -66,16 +66,14 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost = _path_costs(next_, leg)
-    node = np.arange(len(next_))
     # For each kind of change and each node, the target that was tested last, and the cost of the motion to it.
-    tested = np.full((2, len(next_)), -1)
-    cost_to_tested = np.full((2, len(next_)), np.inf)
+    tested, cost_to_tested = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)
     for _ in range(_MOST_ROUNDS):
         before = cost
         for kind in range(2):
             # 1. Choose a target for each node: kind 0 skips the next node, kind 1 follows a neighbor's path.
             target = graph.next_of_neighbors(cost, next_) if kind else next_[next_]
-            may_save = graph.lower_bounds(node, target) + cost[target] < (1 - _GAIN) * cost
+            may_save = graph.lower_bounds(np.arange(len(next_)), target) + cost[target] < (1 - _GAIN) * cost
             # 2. Find the cost of the straight motion there: look it up, else test the motion.
             straight = np.where(may_save & (target == tested), cost_to_tested, np.inf).min(axis=0)
             new = np.flatnonzero(may_save & (target != tested).all(axis=0))
@@ -84,8 +82,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
             # 3. Change all paths that become cheaper. A new edge leads to a node of less cost, and no old edge to a
             #    node of more cost. So a cycle would consist of old edges only, and old edges form no cycle.
             is_better = straight + cost[target] < (1 - _GAIN) * cost
-            next_ = np.where(is_better, target, next_)
-            leg = np.where(is_better, straight, leg)
+            next_, leg = np.where(is_better, target, next_), np.where(is_better, straight, leg)
             cost = _path_costs(next_, leg)
         is_reached = np.isfinite(cost)
         if np.sum(before[is_reached] - cost[is_reached]) <= _ENOUGH * np.sum(cost[is_reached]):
@@ -251,8 +248,8 @@ class _FreeGraph:
             moving, position, cell = moving[is_free], position[is_free], cell[is_free]
             within = mesh.local(cell, position)
             speed = np.ldexp(velocity[moving], mesh.cells.depth[cell])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
+            # The face ahead is at 1 along axes of positive speed, at 0 along axes of negative speed.
+            to_face = np.divide((speed > 0) - within, speed, out=np.full_like(speed, np.inf), where=speed != 0)
             step = np.minimum(t[moving] + ahead[moving] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[moving]
             middle = within + speed * (step / 2 - ahead[moving])[:, None]
             total[moving] += self.costs.of_motions(step[:, None] * change[moving], cell, middle)

@@ -45,7 +45,6 @@ from plr_jax._types import ArrayLike, Distances, Symmetry
 
 Batch: TypeAlias = Float[np.ndarray, " n"]
 Vectors: TypeAlias = tuple[Batch, Batch]
-Pose: TypeAlias = Float[np.ndarray, "3"]
 _QUARTER = np.pi / 2
 _CIRCLE = 2 * np.pi
 _MIRRORED = str.maketrans("LR", "RL")
@@ -73,7 +72,7 @@ def wrap_angle(angle: Batch) -> Batch:
 class _Car(ABC):
     """A base of distances of cars to a goal pose, for a given turning radius."""
 
-    goal: Pose
+    goal: Float[np.ndarray, "3"]
     radius: float
     is_lower_bound: ClassVar[bool] = True
     """True: obstacles can only make paths longer."""

@@ -255,10 +255,9 @@ class Sampler:
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
         samples = reachable, weight, value
-        plane = center, half, residual
         urgent_axis = self._urgent_axes(cells, reachable.sum(axis=1))
         is_cut_off = np.zeros(len(cells), bool) if self.reach is None else self.reach.is_cut_off(*cells.fractions)
-        return CellFit(cells, pattern, self.max_axis_depth, *samples, *plane, urgent_axis, is_cut_off)
+        return CellFit(cells, pattern, self.max_axis_depth, *samples, center, half, residual, urgent_axis, is_cut_off)
 
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
         # The axis along which to halve cells at the border of what reaches the goal, and coarse cells in which few
