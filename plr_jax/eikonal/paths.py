@@ -113,7 +113,8 @@ class _FreeGraph:
         begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
         order = np.argsort(begin, kind="stable")
         self.begin, self.end, self.cost = begin[order], end[order], cost[order]
-        self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node that has edges
+        # The first edge of each node that has edges, then the number of edges.
+        self.first = np.append(np.flatnonzero(np.diff(self.begin, prepend=-1)), len(self.end))
 
     def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "edges dim"]:
         change = self.points[end] - self.points[begin]
@@ -173,10 +174,9 @@ class _FreeGraph:
 
         # 3. List the fans, each of all edges from one node in one cell: a corner has edges to all nodes of the cell
         #    (and to itself, removed below), a hanging node to the corners.
-        free = np.flatnonzero(is_free)
-        fan_node = np.append(mesh.corners[free], hanging)
-        fan_cell = np.append(np.repeat(free, num), owner)
-        fan_size = num + np.append(np.repeat(np.diff(first_hanging)[free], num), np.zeros_like(owner))
+        fan_node = np.append(mesh.corners[is_free], hanging)
+        fan_cell = np.append(np.repeat(np.flatnonzero(is_free), num), owner)
+        fan_size = num + np.append(np.repeat(np.diff(first_hanging)[is_free], num), np.zeros_like(owner))
         order = np.argsort(fan_node, kind="stable")
         fan_node, fan_cell, fan_size = fan_node[order], fan_cell[order], fan_size[order]
 
@@ -209,10 +209,9 @@ class _FreeGraph:
         # For each node, return the next node of a neighbor's path: of all neighbors, the one for which the cost of
         # that next node, plus a lower bound of the cost of the motion to it, is least. The motion may cross walls.
         best = next_.copy()
-        bounds = np.append(self.first, len(self.end))
-        counts = np.diff(bounds)
+        counts = np.diff(self.first)
         for some in parts(counts, _EDGES_AT_ONCE):
-            edges = slice(bounds[some.start], bounds[some.stop])
+            edges = slice(self.first[some.start], self.first[some.stop])
             begin, target = self.begin[edges], next_[self.end[edges]]
             total = self.lower_bounds(begin, target) + cost[target]
             least = np.minimum.reduceat(total, self.first[some] - edges.start)

@@ -245,8 +245,7 @@ def triangles_at(
     The ``i``-th point of the result is in the triangles from place ``first[i]`` up to ``first[i + 1]`` of the list,
     where ``first`` is the second array, and the list the third.
     """
-    num_sides = places.on_side.sum(axis=1)
-    side = places.on_side.argmax(axis=1)
+    num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     is_listed = num_sides < 2
     counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)[is_listed]

@@ -286,25 +286,25 @@ class Dubins(_Car):
         x, y = to_left
         distance = np.sqrt(x * x + y * y)
         angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # any angle for equal circles
-        yield Word("LSL", _lsl_segments(angle, distance, _forward_turn(heading, _SLACK)))
+
+        # Both turns sum to `turn`, up to a full circle. A turn by nearly a full circle counts as none.
+        turn = _forward_turn(heading, _SLACK)
+        slack = _SLACK / np.maximum(distance, _SLACK)  # error of the vector's direction, if its end is off by _SLACK
+        first = _forward_turn(angle, slack)
+        # A first turn that exceeds both turns by no more than this error is both turns: then the last is 0.
+        first = np.where(first <= turn + slack, np.minimum(first, turn), first)
+        last = turn - first
+        yield Word("LSL", (first, distance, np.where(last < 0, last + _CIRCLE, last)))
+
         # Of both middle turns, the one below half a circle is never on a shortest path: take the other, by 2 * half.
         half = np.pi - np.arcsin(distance / 4)
         yield Word("LRL", (_forward_turn(angle + half), 2 * half, _forward_turn(heading - angle + half)))
+
         x, y = to_right
         square = x * x + y * (y - 4)  # squared distance of the circles, minus 4
         tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))
         first = np.arctan2(x, 2 - y) - np.arctan(tangent / 2)  # see `_words_to_right`
         yield Word("LSR", (_forward_turn(first), tangent, _forward_turn(first - heading)))
-
-
-def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    # Both turns sum to `turn`, up to a full circle. A turn by nearly a full circle counts as none.
-    slack = _SLACK / np.maximum(distance, _SLACK)  # error of the vector's direction, if its end is off by _SLACK
-    first = _forward_turn(angle, slack)
-    # A first turn that exceeds both turns by no more than this error is both turns: then the last is 0.
-    first = np.where(first <= turn + slack, np.minimum(first, turn), first)
-    last = turn - first
-    return first, distance, np.where(last < 0, last + _CIRCLE, last)
 
 
 def _forward_turn(angle: Batch, slack: Batch | float = 0.0) -> Batch:

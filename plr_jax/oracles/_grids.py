@@ -114,8 +114,7 @@ class GridGraph(_CellGraph):
             self._set_goal(goal)
 
     def __repr__(self) -> str:
-        rows, columns = self.free.shape
-        return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
+        return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected)"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of a shortest path between the cells of points ``(n, 2)``, pair by pair, ``(n,)``.

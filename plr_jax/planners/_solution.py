@@ -300,8 +300,7 @@ class BLOptions:
     def __post_init__(self) -> None:
         if self.step is not None:
             as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
-        expected, bound = "a finite number of at least 0", self.lower_bound
-        as_number("lower_bound", bound, expected, lambda bound: 0 <= bound < math.inf)
+        as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < math.inf)
         for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
         if self.heuristic_weight is not None:

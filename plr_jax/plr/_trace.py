@@ -134,7 +134,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     # 3. Find how each path ends.
     is_at_goal = sources.distances[chain[:, -1]] <= rounding
     status = np.where(is_at_goal[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
-    status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
+    status[~is_free] = TraceStatus.CROSSES_WALL
 
     # 4. Add rows for starts without a path.
     columns = []

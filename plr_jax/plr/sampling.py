@@ -79,14 +79,13 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     by ``margin`` times its width.
     """
     rng = np.random.default_rng(seed)
-    center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
     per_face = num_samples // (6 * dim)
     sides = [(axis, side) for axis in range(dim) for side in (-1.0, 1.0)]
     faces = [np.insert(2 * lattice(per_face, rng.random(dim - 1)) - 1, *side, axis=1) for side in sides]
     num_inside = num_samples - 1 - len(corners) - len(faces) * per_face
     inside = 2 * lattice(num_inside, rng.random(dim)) - 1
-    u = np.concatenate([center, inside, corners, *faces]) * (1 + 2 * margin)
+    u = np.concatenate([np.zeros((1, dim)), inside, corners, *faces]) * (1 + 2 * margin)  # the center is the first
     weight = np.repeat([1.0, _FACE_WEIGHT], [1 + num_inside, len(u) - 1 - num_inside])
     return Pattern(u, weight)
 
@@ -266,9 +265,8 @@ class Sampler:
         if reach is not None:
             axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
         if self.is_sparse:
-            is_few = num_reachable <= few_samples(cells.dim)
-            if reach is None:  # then a sample must show that the cell holds points that reach the goal
-                is_few &= num_reachable > 0
+            # Without a reach, a sample must show that the cell holds points that reach the goal.
+            is_few = (num_reachable <= few_samples(cells.dim)) & ((num_reachable > 0) | (reach is not None))
             coarse = np.flatnonzero(is_few & (cells.depth < _FINE_DEPTH).any(axis=1))
             holds = (lambda lo, hi: np.ones(len(lo), bool)) if reach is None else reach.holds_reached
             # If both tests give an axis, either will do: take the larger number, as -1 stands for no axis.

@@ -206,8 +206,7 @@ class RasterCost:
         return cost
 
     def __repr__(self) -> str:
-        shape = " x ".join(map(str, self.values.shape))
-        return f"RasterCost({shape} cells, {self.domain}, {self.interpolation!r})"
+        return f"RasterCost({' x '.join(map(str, self.values.shape))} cells, {self.domain}, {self.interpolation!r})"
 
     @property
     def dim(self) -> int:
