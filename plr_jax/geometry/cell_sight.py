@@ -135,7 +135,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
     # Indices ``2 * c`` and ``2 * c + 1`` are the two ways to bend around corner ``c``.
-    visits, (right, left) = [], turns_by_side(visibility.corners).sides
+    visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
         visits.append(np.stack([2 * view + side, triangle]))

@@ -135,7 +135,7 @@ class TurnPoints:
     slack: float  # points up to this far outside a cone count as inside
 
     @property
-    def sides(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
+    def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
         """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
         # A cone is narrower than half the plane, so the right side's inward normal is counterclockwise of the left's.
         first, second = self.normal

@@ -305,7 +305,7 @@ def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> Cell
 
 def _turn_regions(oracle: VisibilityGraph, turns: TurnPoints, num_goals: int) -> TurnRegions:
     triangulation, views = oracle.workspace.triangulation, oracle.family.views
-    visits = triangles_within(triangulation, views[turns.vertex - num_goals], *turns.sides)
+    visits = triangles_within(triangulation, views[turns.vertex - num_goals], *turns.bounds)
     return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
 
