@@ -22,18 +22,18 @@ from plr_jax.eikonal.program import CellCosts
 from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
-# Most rounds of straightening, and the share of all costs that a round must gain for another one.
-_ROUNDS, _ENOUGH = 24, 1e-4
-_GAIN = 1e-9  # share of a path's cost that a change of the path must save
+_MOST_ROUNDS = 24  # rounds of straightening
+_ENOUGH = 1e-4  # share of all costs that a round must save, else it is the last round
+_GAIN = 1e-9  # share of a path's cost that a change of the path must save: more than rounding errors
 _AHEAD = 2.0**-44  # distance beyond a face at which the next cell is located, as a share of the domain
-_ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
+_ROUNDING = 1e-10  # share by which upper bounds are increased: more than rounding errors
 _EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
-# Most nodes, the nearest ones, that are joined to goals whose cells are not free; least number for each goal.
-_NEAR_GOAL, _LEAST_NEAR_GOAL = 512, 32
+_MOST_NEAR_GOALS = 512  # nearest nodes that are joined to goals whose cells are not free, for all goals together
+_LEAST_NEAR_GOAL = 32  # the same for one goal, if there are many goals
 Nodes: TypeAlias = Int[np.ndarray, " _"]
 Costs: TypeAlias = Float[np.ndarray, " nodes"]
-Edges: TypeAlias = Int[np.ndarray, " _"]
 EdgeCosts: TypeAlias = Float[np.ndarray, " _"]
+Edges: TypeAlias = tuple[Nodes, Nodes, EdgeCosts]  # where edges begin and end, and their costs
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +65,24 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
     """Find short paths from corners of a mesh's cells (nodes) to the nearest goal; all motions are proven free."""
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
-    cost, node = _path_costs(next_, leg), np.arange(len(next_))
-    tested, bound = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)  # last targets, and their costs
-    for _ in range(_ROUNDS):
+    cost = _path_costs(next_, leg)
+    # For each kind of change and each node, the target that was tested last, and the cost of the motion to it.
+    tested, cost_to_tested = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)
+    for _ in range(_MOST_ROUNDS):
         before = cost
         for kind in range(2):
-            ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
-            gains = graph.lower_bounds(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
-            straight = np.where(gains & (ahead == tested), bound, np.inf).min(axis=0)
-            some = np.flatnonzero(gains & (ahead != tested).all(axis=0))
-            straight[some] = bound[kind, some] = graph.upper_bounds(some, ahead[some])
-            tested[kind, some] = ahead[some]
-            better = straight + cost[ahead] < (1 - _GAIN) * cost
-            next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
+            # 1. Choose a target for each node: kind 0 skips the next node, kind 1 follows a neighbor's path.
+            target = graph.next_of_neighbors(cost, next_) if kind else next_[next_]
+            may_save = graph.lower_bounds(np.arange(len(next_)), target) + cost[target] < (1 - _GAIN) * cost
+            # 2. Find the cost of the straight motion there: look it up, else test the motion.
+            straight = np.where(may_save & (target == tested), cost_to_tested, np.inf).min(axis=0)
+            new = np.flatnonzero(may_save & (target != tested).all(axis=0))
+            straight[new] = cost_to_tested[kind, new] = graph.upper_bounds(new, target[new])
+            tested[kind, new] = target[new]
+            # 3. Change all paths that become cheaper. A new edge leads to a node of less cost, and no old edge to a
+            #    node of more cost. So a cycle would consist of old edges only, and old edges form no cycle.
+            is_better = straight + cost[target] < (1 - _GAIN) * cost
+            next_, leg = np.where(is_better, target, next_), np.where(is_better, straight, leg)
             cost = _path_costs(next_, leg)
         is_reached = np.isfinite(cost)
         if np.sum(before[is_reached] - cost[is_reached]) <= _ENOUGH * np.sum(cost[is_reached]):
@@ -86,7 +91,8 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
 
 
 def _path_costs(next_: Nodes, leg: Costs) -> Costs:
-    # leg: cost of the edge from each node to the next node of its path.
+    # `leg` is the cost of the edge from each node to the next node of its path. Pointer doubling: after k rounds,
+    # `next_` is the node 2**k edges ahead, and `cost` the cost of the path to it. A goal's edge to itself costs 0.
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -97,118 +103,152 @@ class _FreeGraph:
     """A graph of the corners of cells and the goals, whose edges are straight motions that are proven free."""
 
     def __init__(self, mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace):
-        self.mesh, self.costs, num = mesh, costs, len(mesh.nodes)
-        self.points, self.goals = np.append(mesh.nodes, goals, axis=0), num + np.arange(len(goals))
-        homes = mesh.locate(goals)
-        edges = list(self._edges(homes))
-        for goal in self.goals[mesh.state[homes] != CellState.FREE]:
-            # Nodes near the goal from which the straight motion is free, and upper bounds of its cost.
-            change = self._changes(np.arange(num), np.full(num, goal))
-            most = max(_NEAR_GOAL // len(goals), _LEAST_NEAR_GOAL)
-            near = np.argsort(costs.motion_cost.norm(change), kind="stable")[:most]
-            q, change = mesh.domain.at(self.points[near]), change[near]
-            free = np.flatnonzero(space.are_free(q, q + change))
-            q, change, straight = q[free], change[free], costs.motion_cost.norm(change[free])
-            if costs.cost_map is not None:
-                box = np.minimum(q, q + change), np.maximum(q, q + change)
-                _, upper, pulls = cost_bounds(costs.motion_cost, costs.cost_map, *box)
-                straight = straight * upper + pulled(pulls, change)
-            edges.append((near[free].astype(np.int32), np.full(len(free), goal, np.int32), straight))
+        self.mesh, self.costs = mesh, costs
+        self.points = np.append(mesh.nodes, goals, axis=0)
+        self.goals = len(mesh.nodes) + np.arange(len(goals))
+        goal_cells = mesh.locate(goals)
+        edges = list(self._edges_in_cells(goal_cells))
+        is_free = mesh.state[goal_cells] == CellState.FREE
+        edges += [self._edges_to(goal, space) for goal in self.goals[~is_free].tolist()]
         begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
         order = np.argsort(begin, kind="stable")
         self.begin, self.end, self.cost = begin[order], end[order], cost[order]
-        self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node
+        # The first edge of each node that has edges, then the number of edges.
+        self.first = np.append(np.flatnonzero(np.diff(self.begin, prepend=-1)), len(self.end))
 
-    def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
+    def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "edges dim"]:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Yield the edges within free cells, as both ends and cost; ``homes`` are the cells of goals."""
+    def _edges_to(self, goal: int, space: ConfigurationSpace) -> Edges:
+        """Return the edges from near nodes to a goal whose cell is not free; the space proves that they are free."""
+        num, motion_cost, cost_map = len(self.mesh.nodes), self.costs.motion_cost, self.costs.cost_map
+        change = self._changes(np.arange(num), np.full(num, goal))
+        most = max(_MOST_NEAR_GOALS // len(self.goals), _LEAST_NEAR_GOAL)
+        near = np.argsort(motion_cost.norm(change), kind="stable")[:most]
+        q = self.mesh.domain.at(self.points[near])
+        free = np.flatnonzero(space.are_free(q, q + change[near]))
+        near, q = near[free], q[free]
+        change = change[near]
+        cost = motion_cost.norm(change)
+        if cost_map is not None:
+            _, upper, pulls = cost_bounds(motion_cost, cost_map, np.minimum(q, q + change), np.maximum(q, q + change))
+            cost = cost * upper + pulled(pulls, change)  # pulls: the part of the cost that depends on the direction
+        return near.astype(np.int32), np.full(len(near), goal, np.int32), cost
+
+    def _edges_in_cells(self, goal_cells: Nodes) -> Iterator[Edges]:
+        """Yield the edges within free cells; ``goal_cells`` are the cells of the goals.
+
+        The nodes of a free cell are its corners (``+``), and the corners of smaller free cells on its faces (``o``),
+        which *hang* on the cell. Goals in the cell count as hanging nodes. No edge joins two hanging nodes::
+
+            +-------+---+
+            |       |   |
+            |       o---+
+            |       |   |
+            +-------+---+
+        """
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
-        nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]
-        for axis, bits in enumerate(corner_bits(mesh.dim).T):  # corners of a cell that hang on a larger cell
+        # 1. Find the hanging nodes of each free cell.
+        nodes, cells = [self.goals[is_free[goal_cells]]], [goal_cells[is_free[goal_cells]]]
+        for axis, bits in enumerate(corner_bits(mesh.dim).T):
             faces = mesh.open_faces[mesh.open_faces.axis == axis]
             for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
-                hangs = (
-                    (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1) & is_free[cell] & is_free[other]
-                )
+                is_smaller = (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1)
+                hangs = is_smaller & is_free[cell] & is_free[other]
                 on_face = mesh.corners[cell[hangs]][:, bits == end]
                 owner = np.repeat(other[hangs], on_face.shape[1])
                 t = mesh.within(owner, self.points[on_face.ravel()])
                 touches = ((t >= 0) & (t <= 1)).all(axis=1)  # where long cells cross, some corners lie beyond
                 nodes.append(on_face.ravel()[touches])
                 cells.append(owner[touches])
-        hanging = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
-        cell, node = np.divmod(hanging, len(self.points))
-        num, free = mesh.corners.shape[1], np.flatnonzero(is_free)
-        in_cells = np.append(mesh.corners, node)  # corners of all cells, then hanging nodes by cell
-        first = mesh.corners.size + np.searchsorted(cell, np.arange(len(mesh.state) + 1))
-        # Corners have edges to all nodes of a cell, hanging nodes to its corners.
-        begin, owner = np.append(mesh.corners[free], node), np.append(np.repeat(free, num), cell)
-        count = num + np.append(np.repeat(np.diff(first)[free], num), np.zeros_like(cell))
-        order = np.argsort(begin, kind="stable")
-        begin, owner, count = begin[order], owner[order], count[order]
-        for some in parts(np.bincount(begin, count, len(self.points)).astype(np.int64), _EDGES_AT_ONCE):
-            rows = slice(*np.searchsorted(begin, [some.start, some.stop]))
-            row, place = ragged_indices(count[rows])
-            a, c = begin[rows][row], owner[rows][row]
-            b = in_cells[np.where(place < num, c * num + place, first[c] + place - num)]
-            a, b, c = (column[a != b] for column in (a, b, c))
-            change = self._changes(a, b)
-            middle = mesh.within(c, self.points[a]) + np.ldexp(change / mesh.domain.width, mesh.cells.depth[c]) / 2
-            cost = self.costs.of_motions(change, c, middle)
-            order = np.lexsort((cost, b, a))
-            order = order[np.diff(a[order] * len(self.points) + b[order], prepend=-1) != 0]  # the cheapest of several
-            yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
+        by_cell = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
+        owner, hanging = np.divmod(by_cell, len(self.points))
+
+        # 2. List the nodes of all cells: `num` corners for each cell, then the hanging nodes of each cell. Those of
+        #    cell c have the places from `first_hanging[c]` up to `first_hanging[c + 1]`.
+        num = mesh.corners.shape[1]
+        nodes_of_cells = np.append(mesh.corners, hanging)
+        first_hanging = mesh.corners.size + np.searchsorted(owner, np.arange(len(mesh.state) + 1))
+
+        # 3. List the fans, each of all edges from one node in one cell: a corner has edges to all nodes of the cell
+        #    (and to itself, removed below), a hanging node to the corners.
+        fan_node = np.append(mesh.corners[is_free], hanging)
+        fan_cell = np.append(np.repeat(np.flatnonzero(is_free), num), owner)
+        fan_size = num + np.append(np.repeat(np.diff(first_hanging)[is_free], num), np.zeros_like(owner))
+        order = np.argsort(fan_node, kind="stable")
+        fan_node, fan_cell, fan_size = fan_node[order], fan_cell[order], fan_size[order]
+
+        # 4. For some nodes at a time, bound the edges' costs. An edge in several cells has the least of its bounds.
+        for some in parts(np.bincount(fan_node, fan_size, len(self.points)).astype(np.int64), _EDGES_AT_ONCE):
+            fans = slice(*np.searchsorted(fan_node, [some.start, some.stop]))
+            fan, place = ragged_indices(fan_size[fans])
+            begin, cell = fan_node[fans][fan], fan_cell[fans][fan]
+            end = nodes_of_cells[np.where(place < num, cell * num + place, first_hanging[cell] + place - num)]
+            begin, end, cell = (column[begin != end] for column in (begin, end, cell))
+            change = self._changes(begin, end)
+            half = np.ldexp(change / mesh.domain.width, mesh.cells.depth[cell]) / 2
+            cost = self.costs.of_motions(change, cell, mesh.within(cell, self.points[begin]) + half)
+            order = np.lexsort((cost, end, begin))
+            order = order[np.diff(begin[order] * len(self.points) + end[order], prepend=-1) != 0]
+            yield begin[order].astype(np.int32), end[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
         """Return the second node of each node's shortest path to a goal, and the cost of the edge to it."""
         num = len(self.points)
+        # An edge from a to b is in column a and row b: it is reversed, as Dijkstra's algorithm starts at the goals.
+        # So a node's predecessor is the next node of its path.
         graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
         cost, previous, _ = dijkstra(graph, indices=self.goals, return_predecessors=True, min_only=True)
         next_ = np.where(previous < 0, self.goals[0], previous)
         next_[self.goals] = self.goals
-        leg = np.where(np.isfinite(cost), cost - cost[next_], np.inf)
-        leg[self.goals] = 0.0
-        return next_, leg
+        return next_, np.where(np.isfinite(cost), cost - cost[next_], np.inf)
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        # The node after a neighbor on its path: of all neighbors, the cheapest way on if walls are ignored.
-        best, bounds = next_.copy(), np.append(self.first, len(self.end))
-        counts = np.diff(bounds)
+        # For each node, return the next node of a neighbor's path: of all neighbors, the one for which the cost of
+        # that next node, plus a lower bound of the cost of the motion to it, is least. The motion may cross walls.
+        best = next_.copy()
+        counts = np.diff(self.first)
         for some in parts(counts, _EDGES_AT_ONCE):
-            edges = slice(bounds[some.start], bounds[some.stop])
-            begin, ahead = self.begin[edges], next_[self.end[edges]]
-            total = self.lower_bounds(begin, ahead) + cost[ahead]
+            edges = slice(self.first[some.start], self.first[some.stop])
+            begin, target = self.begin[edges], next_[self.end[edges]]
+            total = self.lower_bounds(begin, target) + cost[target]
             least = np.minimum.reduceat(total, self.first[some] - edges.start)
             is_best = np.flatnonzero(total == np.repeat(least, counts[some]))
-            best[begin[is_best]] = ahead[is_best]
+            best[begin[is_best]] = target[is_best]
         return best
 
-    def lower_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
+    def lower_bounds(self, begin: Nodes, end: Nodes) -> EdgeCosts:
         return self.costs.motion_cost.norm(self._changes(begin, end)) * self.costs.least_rate
 
-    def upper_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
+    def upper_bounds(self, begin: Nodes, end: Nodes) -> EdgeCosts:
         """Return upper bounds of the costs of straight motions; ``inf`` for a motion that leaves the free cells."""
-        x = self.points[begin]
+        # Walk from cell to cell. A motion takes the time t from 0 to 1; `velocity` is its change per unit of time, in
+        # fractions of the domain. At t, its cell is that at t + ahead, so that at a face the cell it enters counts.
+        #     within   local coordinates in this cell at t + ahead
+        #     speed    their change per unit of time
+        #     to_face  time from t + ahead to the cell's face, for each axis
+        #     step     time from t to the first face, or to the end of the motion
+        #     middle   local coordinates at t + step / 2
+        mesh = self.mesh
         change = self._changes(begin, end)
-        mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
-        length, rate = self.costs.motion_cost.norm(change), change / mesh.domain.width
-        rate[np.abs(rate) < _AHEAD] = 0.0  # else steps along a face would be rounding errors
-        ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)
-        moving = np.flatnonzero(length > 0)
+        velocity = change / mesh.domain.width
+        velocity[np.abs(velocity) < _AHEAD] = 0.0  # else steps along a face would be rounding errors
+        ahead = _AHEAD / np.maximum(np.abs(velocity).max(axis=1, initial=0.0), _AHEAD)
+        total, t = np.zeros((2, len(begin)))
+        moving = np.flatnonzero(self.costs.motion_cost.norm(change) > 0)
         while len(moving):
-            position = x[moving] + np.minimum(t[moving] + ahead[moving], 1.0)[:, None] * rate[moving]
+            position = self.points[begin[moving]] + np.minimum(t + ahead, 1.0)[moving, None] * velocity[moving]
             position = np.where(mesh.domain.periodic, position % 1.0, position)
             cell = mesh.locate(position)
             is_free = mesh.state[cell] == CellState.FREE
             total[moving[~is_free]] = np.inf
             moving, position, cell = moving[is_free], position[is_free], cell[is_free]
-            within, speed = mesh.local(cell, position), np.ldexp(rate[moving], mesh.cells.depth[cell])
-            with np.errstate(divide="ignore", invalid="ignore"):
-                to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
+            within = mesh.local(cell, position)
+            speed = np.ldexp(velocity[moving], mesh.cells.depth[cell])
+            # The face ahead is at 1 along axes of positive speed, at 0 along axes of negative speed.
+            to_face = np.divide((speed > 0) - within, speed, out=np.full_like(speed, np.inf), where=speed != 0)
             step = np.minimum(t[moving] + ahead[moving] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[moving]
             middle = within + speed * (step / 2 - ahead[moving])[:, None]
             total[moving] += self.costs.of_motions(step[:, None] * change[moving], cell, middle)

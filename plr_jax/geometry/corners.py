@@ -57,6 +57,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
+    # Each edge that begins at a corner has a sector: a reflex vertex has one sector, a contact has several.
     vertex, owner = np.unique(boundary.edges[turns, 0], return_inverse=True)
     views = Viewpoints(boundary.vertices[vertex], owner, np.flatnonzero(turns))
     walls = np.empty((2, len(vertex), 2))
@@ -91,13 +92,18 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, " pairs"], seen: Int[np.ndarray, " pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return pairs of corners that see one another along a line tangent to the walls at one of them or both."""
-    # Corner ``view[i]`` sees corner ``seen[i]``.
+    """Return pairs of corners that see one another along a line tangent to the walls at one of them or both.
+
+    Corner ``view[i]`` sees corner ``seen[i]``.
+    """
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
+    # Give each unordered pair a number, and each of its directions a key: twice the number, plus 0 or 1. Then the
+    # number of a pair that sees one another occurs twice, side by side.
     size = np.int64(len(corners.points))
-    pair = _sorted_unique(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
+    number = np.minimum(view, seen) * size + np.maximum(view, seen)
+    pair = _sorted_unique(2 * number + (view < seen)) >> 1
     mutual = pair[1:][pair[1:] == pair[:-1]]
     return np.stack(np.divmod(mutual, size), axis=1)
 
@@ -130,7 +136,8 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        # Right, then left side; 0 if the cone is the whole plane.
+        """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
+        # A cone is narrower than half the plane, so the right side's inward normal is counterclockwise of the left's.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
@@ -146,10 +153,10 @@ class TurnPoints:
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
         """Return the first corner on each point's shortest path with a turn (-1: no path), and the path's length."""
-        way, length = first_visible_in_parts(
+        turn, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
-        return np.append(self.vertex, -1)[way[:, 0]], length[:, 0]
+        return np.append(self.vertex, -1)[turn[:, 0]], length[:, 0]
 
 
 def find_turn_points(
@@ -163,24 +170,27 @@ def find_turn_points(
     #
     #                          . onward, to the goal
     #                     .
-    #                c------------ wall         A path that turns at corner c comes from the cone between the
-    #           .    |############              backward extension of the path onward and the wall around which
-    #      .   cone  |# obstacle #              it comes. If the extension enters the obstacle, none turns there.
-    #               wall
+    #                c------------ opening wall      A path that turns at corner c comes from the cone between the
+    #           .    |############                   backward extension of the path onward and the wall around which
+    #      .   cone  |# obstacle #                   it comes, the near wall: here the closing wall.
+    #           closing wall                         If the extension enters the obstacle, no path turns at c.
+    #
+    # The obstacle fills the corner from the closing wall counterclockwise to the opening wall. If it lies to the left
+    # of the path onward, the near wall is the opening wall, else the closing wall.
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
-    points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
+    points = vertices.points[vertex]
+    opens, closes = vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
     onward[(opens == 0).all(axis=1)] = 0.0
-    # The obstacle fills the corner from the closing wall counterclockwise to the opening one. If it lies to the left
-    # of the path onward, the path comes around the opening wall, else around the closing one.
     on_left = cross_product(onward, opens + closes) > 0
-    side = np.where(on_left, 1.0, -1.0)[:, None]
-    wall = np.where(on_left[:, None], opens, closes)
-    straight_on_is_blocked = side[:, 0] * cross_product(onward, wall) < -vertices.slack
+    sign = np.where(on_left, 1.0, -1.0)[:, None]
+    near_wall = np.where(on_left[:, None], opens, closes)
+    # `onward` leads to the next vertex, so the product is that vertex's distance from the line of the near wall.
+    enters_obstacle = sign[:, 0] * cross_product(onward, near_wall) < -vertices.slack
     norm = np.linalg.norm(onward, axis=1, keepdims=True)
     onward = np.divide(onward, norm, out=np.zeros_like(onward), where=norm > 0)
-    normal = np.stack([side * turned_left(onward), side * turned_left(wall)])
-    useful = np.flatnonzero(~straight_on_is_blocked)
+    normal = np.stack([sign * turned_left(onward), sign * turned_left(near_wall)])
+    useful = np.flatnonzero(~enters_obstacle)
     vertex = vertex[useful]
     return TurnPoints(vertex, points[useful], distances[vertex], normal[:, useful], vertices.slack)
 
@@ -197,21 +207,25 @@ class TurnRegions:
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         """Return the first turn of each point's shortest path with a turn (-1: no path), and its length."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
+        # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
         point, first, triangle = triangles_at(self.triangulation, places)
-        entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
-        counts = np.diff(entries)
+        # 2. The candidates of a point are the turns that its triangles list. The point's path has the candidate of
+        #    least path length among those that the point sees.
+        num_listed = self.first[triangle + 1] - self.first[triangle]
+        counts = np.diff(np.append(0, np.cumsum(num_listed))[first])
         for part in parts(counts, _PAIRS):
-            turn = self.turn[take_ragged(self.first, triangle[first[part.start] : first[part.stop]])[0]]
-            rows = point[part]
+            entry, _ = take_ragged(self.first, triangle[first[part.start] : first[part.stop]])
+            turn, rows = self.turn[entry], point[part]
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
-            lengths, end = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
+            lengths = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn]
+            corner = self.turns.vertex[turn]
             pair, length[rows] = first_visible_ragged(
-                lengths, counts[part], lambda at, pair, rows=rows, end=end: sees(rows[at], end[pair])
+                lengths, counts[part], lambda i, pair, rows=rows, corner=corner: sees(rows[i], corner[pair])
             )
-            vertex[rows] = np.append(end, -1)[pair]
-        # At a vertex, where many triangles meet, points try all turn points.
+            vertex[rows] = np.append(corner, -1)[pair]
+        # 3. At a vertex, many triangles meet: there, a point tries all turns.
         rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
-        vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda at, end: sees(rest[at], end))
+        vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda i, corner: sees(rest[i], corner))
         return vertex, length
 
 
@@ -226,7 +240,11 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
-    # Points at vertices are left out. Those in the result have the triangles ``[first[i] : first[i + 1]]``.
+    """Return the points that are not at a vertex, and the triangles that contain each: one, or two beside a side.
+
+    The ``i``-th point of the result is in the triangles from place ``first[i]`` up to ``first[i + 1]`` of the list,
+    where ``first`` is the second array, and the list the third.
+    """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     is_listed = num_sides < 2

@@ -3,6 +3,31 @@
 A shortest path is a sequence of sharpest turns and straight lines, called a *word*, such as LSR for left, straight,
 right. Lengths are in turning radii, so the length of a turn is its angle. A word is computed from the heading at its
 end, and from the vector from the center of the first turn to the center of the last turn.
+
+At heading h, let e(h) be the direction of travel and n(h) = e(h + pi/2) the direction to the left. The car is at
+O - n(h) on a left circle with center O, and at O + n(h) on a right circle. So the vector between the centers is the
+sum of::
+
+     s e(h)     for each straight segment of length s at heading h
+    -2 n(h)     for each change from a left to a right circle at heading h
+     2 n(h)     for each change from a right to a left circle at heading h
+
+The sum's length and direction give the segments of a word. Let O, M and P be the centers of the first, the middle and
+the last turn, and d the length of the vector from O to P::
+
+    LRL   O               The sides OM and MP are 2 long. The middle turn goes by the angle at M, 2 * half,
+          | `.            so d = 4 sin(half).
+        2 |   `.  d
+          |     `.
+          M------P
+             2
+
+    LSR   O               From O to P, the way along the straight line is `tangent`, and across it 2. So
+          | `.            tangent = sqrt(d^2 - 4), and tan(lean) = tangent / 2, with `lean` the angle at O.
+        2 |   `.  d
+          |     `.
+          '-------P
+           tangent
 """
 
 from abc import ABC, abstractmethod
@@ -20,9 +45,12 @@ from plr_jax._types import ArrayLike, Distances, Symmetry
 
 Batch: TypeAlias = Float[np.ndarray, " n"]
 Vectors: TypeAlias = tuple[Batch, Batch]
-Pose: TypeAlias = Float[np.ndarray, "3"]
-_AT_ONCE = 4096  # poses processed at a time, so that their arrays stay in the cache
+_QUARTER = np.pi / 2
+_CIRCLE = 2 * np.pi
 _MIRRORED = str.maketrans("LR", "RL")
+_AT_ONCE = 4096  # poses processed at a time, so that their arrays stay in the cache
+_ROUNDING = 4 * np.finfo(np.float64).eps  # relative rounding error of a few operations
+_SLACK = 1e-10  # turning radii by which a Dubins path may miss the goal: well above rounding errors
 
 
 class Word(NamedTuple):
@@ -44,7 +72,7 @@ def wrap_angle(angle: Batch) -> Batch:
 class _Car(ABC):
     """A base of distances of cars to a goal pose, for a given turning radius."""
 
-    goal: Pose
+    goal: Float[np.ndarray, "3"]
     radius: float
     is_lower_bound: ClassVar[bool] = True
     """True: obstacles can only make paths longer."""
@@ -100,30 +128,31 @@ class _Car(ABC):
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:
-        # Mirror poses front to back, in the frame of the goal. This swaps gears, so that a word from the goal to the
-        # mirrored pose, with its segments in reverse order, leads from the pose to the goal.
+        # In the goal's frame, let a pose be (X, Y, phi). Mirror the car in the Y axis, and call its front its back:
+        # the pose becomes (-X, Y, -phi), left stays left, and gears swap. Gears swap again if the path is driven
+        # backward in time. So a word from (0, 0, 0) to (-X, Y, -phi), its segments in reverse order, leads from the
+        # pose to the goal.
         cosine, sine = np.cos(self.goal[2]), np.sin(self.goal[2])
         dx, dy = ((x[:, axis] - self.goal[axis]) / self.radius for axis in range(2))
-        along, across = -cosine * dx - sine * dy, cosine * dy - sine * dx
+        mirrored_x = -cosine * dx - sine * dy
+        y = cosine * dy - sine * dx
         # ``fmod`` is exact for many turns, ``wrap_angle`` is not.
-        heading = wrap_angle(np.fmod(self.goal[2] - x[:, 2], 2 * np.pi))
-        half = np.tan(heading / 2)
-        sine_of_heading = 2 * half / (1 + half * half)
-        versine = half * sine_of_heading
+        heading = wrap_angle(np.fmod(self.goal[2] - x[:, 2], _CIRCLE))
+        tan_half = np.tan(heading / 2)
+        sin_heading = 2 * tan_half / (1 + tan_half * tan_half)
+        versine = tan_half * sin_heading  # 1 - cos(heading), without cancellation
         for side in (1.0, -1.0):  # words that start with a right turn are mirror images
-            y, sine = side * across, side * sine_of_heading
-            circles = (along - sine, y - versine), (along + sine, y + versine)
-            for letters, segments in self._canonical_words(*circles, side * heading):
+            # From the left circle at the start, (0, 1), to the left circle at the end,
+            # (mirrored_x - sin(heading), y + cos(heading)); and likewise between the right circles.
+            to_left = mirrored_x - side * sin_heading, side * y - versine
+            to_right = mirrored_x + side * sin_heading, side * y + versine
+            for letters, segments in self._canonical_words(to_left, to_right, side * heading):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
         """Return the reflection of poses in the line through the goal at an angle, ``direction``, to the x axis."""
         cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
         return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
-
-
-_QUARTER = np.pi / 2
-_ROUNDING = 4 * np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -140,7 +169,10 @@ class ReedsShepp(_Car):
 
     @property
     def symmetries(self) -> tuple[Symmetry, Symmetry]:
-        """Reflections of poses in two lines through the goal: along its heading, and at a right angle to it."""
+        """Reflections of poses in two lines through the goal: along its heading, and at a right angle to it.
+
+        The second reflection also swaps the car's front and back, which a car with two gears does not notice.
+        """
         return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
     @staticmethod
@@ -153,58 +185,82 @@ class ReedsShepp(_Car):
 
 
 def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    # Paths from a left to a left turn, whose centers are `(x, y)` turning radii apart.
-    q, square = _QUARTER, x * x + y * y
+    # Paths from a left to a left turn. `(x, y)` leads from the center of the first turn to that of the last; its
+    # length is d. The car turns by `angle` to head along this vector, and by `rest` from there to the last heading.
+    #
+    # A comment gives the vector as a sum (see the module's docstring) for the first word below it, and the number of
+    # the equation of Reeds and Shepp. The second word drives the middle segments in the other gear. q is `_QUARTER`.
+    square = x * x + y * y
     distance = np.sqrt(square)
     angle = np.where(distance > _ROUNDING * np.abs(heading), np.arctan2(y, x), 0.0)  # any angle for equal circles
     rest = heading - angle
+
+    # d e(h), h: heading on the line (8.1)
     yield Word("LSL", (angle, distance, rest))
     yield Word("LSL", (angle + np.pi, -distance, rest - np.pi))
+
+    # -2 n(h + half) + 2 n(h - half) = 4 sin(half) e(h), h: heading amid the right turn (8.3, 8.4)
     half = np.arcsin(distance / 4)
     yield Word("LRL", (angle + half, 2 * half, rest + half))
     yield Word("LRL", (angle + np.pi - half, -2 * half, rest - np.pi - half))
-    tangent = np.sqrt(square - 4)  # length of the inner tangent of two circles
-    lean, straight = np.arctan(tangent / 2), _nan_if_negative(tangent - 2)
-    yield Word("LRSL", (angle + lean, q, straight, rest + q - lean))
-    yield Word("LRSL", (angle + np.pi - lean, -q, -straight, rest + q + lean))
-    yield Word("LSRL", (angle + q - lean, straight, q, rest + lean))
-    yield Word("LSRL", (angle + q + lean, -straight, -q, rest + np.pi - lean))
+
+    # LRSL: -2 n(h + q) + straight e(h) + 2 n(h) = (straight + 2) e(h) + 2 n(h), h: heading on the line (8.9)
+    # LSRL: straight e(h) - 2 n(h) + 2 n(h - q) = (straight + 2) e(h) - 2 n(h)
+    tangent = np.sqrt(square - 4)
+    lean = np.arctan(tangent / 2)
+    straight = _nan_if_negative(tangent - 2)
+    yield Word("LRSL", (angle + lean, _QUARTER, straight, rest + _QUARTER - lean))
+    yield Word("LRSL", (angle + np.pi - lean, -_QUARTER, -straight, rest + _QUARTER + lean))
+    yield Word("LSRL", (angle + _QUARTER - lean, straight, _QUARTER, rest + lean))
+    yield Word("LSRL", (angle + _QUARTER + lean, -straight, -_QUARTER, rest + np.pi - lean))
 
 
 def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    # Paths from a left to a right turn, whose centers are `(x, y - 2)` turning radii apart.
-    q, square = _QUARTER, x * x + y * (y - 4)
+    # Paths from a left to a right turn. `(x, y)` leads from the right circle at the start to that at the end, so
+    # `(x, y - 2)` from the left circle at the start; its length is d, and square = d^2 - 4. Comments are as above.
+    square = x * x + y * (y - 4)
     # Set differences to 0 that are within the rounding error of their terms.
     square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)
-    # Use angles of the vector's normal: its direction is exact where both circles touch at the goal.
-    distance, tangent = np.sqrt(4 + square), np.sqrt(square)
-    angle, lean = np.arctan2(x, 2 - y), np.arctan(tangent / 2)
-    rest = angle - heading
+    distance = np.sqrt(4 + square)
+    tangent = np.sqrt(square)
+    lean = np.arctan(tangent / 2)
+    # The direction of `(x, y - 2)`, plus a quarter turn. It is exact where both circles touch at the goal.
+    angle = np.arctan2(x, 2 - y)
+    rest = angle - heading  # the right turn from there to the last heading
+
+    # tangent e(h) - 2 n(h), h: heading on the line (8.2)
     yield Word("LSR", (angle - lean, tangent, rest - lean))
     yield Word("LSR", (angle + lean, -tangent, rest + lean))
+
+    # -2 n(h + turn) + 2 n(h) - 2 n(h - turn) = -(4 cos(turn) - 2) n(h), h: heading between the inner turns, which
+    # have opposite gears. So d = 4 cos(turn) - 2, and sin^2(turn / 2) = (2 - d) / 8, here without cancellation (8.7)
     turn = 2 * np.arcsin(np.sqrt(-square / (8 * (2 + distance))))
     yield Word("LRLR", (angle + turn, turn, -turn, rest - turn))
     yield Word("LRLR", (angle - turn, -turn, turn, rest + turn))
+
+    # -2 n(h) + 2 n(h - turn) - 2 n(h) = 2 sin(turn) e(h) - (4 - 2 cos(turn)) n(h), h: heading before and after the
+    # inner turns, which have the same gear. So d^2 = 20 - 16 cos(turn), and sin^2(turn / 2) = (d^2 - 4) / 32 (8.8)
     turn = 2 * np.arcsin(np.sqrt(square / 32))
-    aside = np.arctan2(np.sin(turn), 2 - np.cos(turn))
+    aside = np.arctan2(np.sin(turn), 2 - np.cos(turn))  # between the vector and -n(h)
     yield Word("LRLR", (angle - aside, turn, turn, rest - aside))
     yield Word("LRLR", (angle + aside, -turn, -turn, rest + aside))
+
+    # LRSR: -2 n(h + q) + straight e(h) = (straight + 2) e(h), h: heading on the line (8.10)
+    # LSLR: straight e(h) - 2 n(h + q) = (straight + 2) e(h)
     straight = _nan_if_negative(square) / (distance + 2)  # equals distance - 2, without cancellation
-    yield Word("LRSR", (angle, q, straight, rest - q))
-    yield Word("LRSR", (angle, -q, -straight, rest + q))
-    yield Word("LSLR", (angle - q, straight, q, rest))
-    yield Word("LSLR", (angle + q, -straight, -q, rest))
+    yield Word("LRSR", (angle, _QUARTER, straight, rest - _QUARTER))
+    yield Word("LRSR", (angle, -_QUARTER, -straight, rest + _QUARTER))
+    yield Word("LSLR", (angle - _QUARTER, straight, _QUARTER, rest))
+    yield Word("LSLR", (angle + _QUARTER, -straight, -_QUARTER, rest))
+
+    # -2 n(h + q) + straight e(h) + 2 n(h) - 2 n(h + q) = (straight + 4) e(h) + 2 n(h), h: heading on the line (8.11)
     straight = _nan_if_negative(tangent - 4)
-    yield Word("LRSLR", (angle - q + lean, q, straight, q, rest - q + lean))
-    yield Word("LRSLR", (angle + q - lean, -q, -straight, -q, rest + q - lean))
+    yield Word("LRSLR", (angle - _QUARTER + lean, _QUARTER, straight, _QUARTER, rest - _QUARTER + lean))
+    yield Word("LRSLR", (angle + _QUARTER - lean, -_QUARTER, -straight, -_QUARTER, rest + _QUARTER - lean))
 
 
 def _nan_if_negative(length: Batch) -> Batch:
     return np.where(length >= 0, length, np.nan)
-
-
-_SLACK = 1e-10  # turning radii by which a path may miss the goal
-_CIRCLE = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -230,24 +286,25 @@ class Dubins(_Car):
         x, y = to_left
         distance = np.sqrt(x * x + y * y)
         angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # any angle for equal circles
-        yield Word("LSL", _lsl_segments(angle, distance, _forward_turn(heading, _SLACK)))
-        # Half of the middle turn. There are two such turns, and the shorter one is never on a shortest path.
+
+        # Both turns sum to `turn`, up to a full circle. A turn by nearly a full circle counts as none.
+        turn = _forward_turn(heading, _SLACK)
+        slack = _SLACK / np.maximum(distance, _SLACK)  # error of the vector's direction, if its end is off by _SLACK
+        first = _forward_turn(angle, slack)
+        # A first turn that exceeds both turns by no more than this error is both turns: then the last is 0.
+        first = np.where(first <= turn + slack, np.minimum(first, turn), first)
+        last = turn - first
+        yield Word("LSL", (first, distance, np.where(last < 0, last + _CIRCLE, last)))
+
+        # Of both middle turns, the one below half a circle is never on a shortest path: take the other, by 2 * half.
         half = np.pi - np.arcsin(distance / 4)
         yield Word("LRL", (_forward_turn(angle + half), 2 * half, _forward_turn(heading - angle + half)))
+
         x, y = to_right
         square = x * x + y * (y - 4)  # squared distance of the circles, minus 4
         tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))
-        angle = np.arctan2(x, 2 - y) - np.arctan(tangent / 2)
-        yield Word("LSR", (_forward_turn(angle), tangent, _forward_turn(angle - heading)))
-
-
-def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    # Turns sum to `turn`. A turn by nearly a full circle counts as none.
-    slack = _SLACK / np.maximum(distance, _SLACK)
-    first = _forward_turn(angle, slack)
-    first = np.where(first <= turn + slack, np.minimum(first, turn), first)
-    last = turn - first
-    return first, distance, np.where(last < 0, last + _CIRCLE, last)
+        first = np.arctan2(x, 2 - y) - np.arctan(tangent / 2)  # see `_words_to_right`
+        yield Word("LSR", (_forward_turn(first), tangent, _forward_turn(first - heading)))
 
 
 def _forward_turn(angle: Batch, slack: Batch | float = 0.0) -> Batch:

@@ -20,7 +20,7 @@ from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets, reach_of_cells
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
-_DISTANCES = 2**22  # distances of cells in memory at a time
+_DISTANCES = 2**22  # distances of cells in memory at a time (32 MiB)
 _POINTS = 8192  # points interpolated at a time, so that their arrays stay in the cache
 _AXES = {6: 1, 18: 2, 26: 3}  # number of axes along which a step may lead at once, by number of neighbors
 _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the shortest step
@@ -34,7 +34,7 @@ class _CellGraph(ABC):
     """Number of coordinates of a point."""
     bounds: Box
     _padded: Bool[np.ndarray, "..."]  # whether each cell is free
-    _steps: Any  # free steps between neighbors
+    _steps: Any  # free steps between neighbors: a sparse matrix of lengths, or a bit for each voxel and direction
     _to_goal: Distances  # distance of each cell to the goal
 
     def with_goal(self, goal: ArrayLike) -> Self:
@@ -114,8 +114,7 @@ class GridGraph(_CellGraph):
             self._set_goal(goal)
 
     def __repr__(self) -> str:
-        rows, columns = self.free.shape
-        return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
+        return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected)"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of a shortest path between the cells of points ``(n, 2)``, pair by pair, ``(n,)``.
@@ -126,9 +125,11 @@ class GridGraph(_CellGraph):
         ends = self._cells_of("x", x), self._cells_of("y", y)
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"x and y must be equally many points, got {len(ends[0])} and {len(ends[1])}.")
+        # Distances are the same in both directions, so search from the side that has fewer distinct cells.
         begin, end = sorted(ends, key=lambda cells: len(np.unique(cells)))
         roots, root = np.unique(begin, return_inverse=True)
-        distances, at_once = np.empty(len(begin)), max(_DISTANCES // self.free.size, 1)
+        distances = np.empty(len(begin))
+        at_once = max(_DISTANCES // self.free.size, 1)
         for first in range(0, len(roots), at_once):
             pairs = np.flatnonzero((root >= first) & (root < first + at_once))
             distances[pairs] = self._search(roots[first : first + at_once])[root[pairs] - first, end[pairs]]
@@ -145,14 +146,13 @@ class GridGraph(_CellGraph):
         # A graph of the padded grid: each edge once. Diagonal steps need both cells beside them free.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
-        begins, ends, lengths = [], [], []
+        edges = []
         for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (self.connectivity == 8):
             can = free[row + down, column + right] & free[row + down, column] & free[row, column + right]
-            begins.append((row * columns + column)[can])
-            ends.append(begins[-1] + down * columns + right)
-            lengths.append(np.full(len(ends[-1]), math.hypot(down, right)))
-        between = np.concatenate(begins), np.concatenate(ends)
-        return csr_array((np.concatenate(lengths), between), shape=2 * (free.size,))
+            begin = (row * columns + column)[can]
+            edges.append((begin, begin + down * columns + right, np.full(len(begin), math.hypot(down, right))))
+        begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))
+        return csr_array((length, (begin, end)), shape=2 * (free.size,))
 
     def _search(self, roots: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k cells"]:
         distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
@@ -222,6 +222,7 @@ class VoxelGraph(_CellGraph):
         inside = self.bounds.contains(x)
         x = np.where(inside[:, None], x, self.bounds.lo)
         below, above = self.grid.numbers(x.T)
+        # A point on a face is in two voxels: take the upper one, but on the upper bound of the grid the last voxel.
         number = np.where(self.bounds.hi[:, None] == x.T, below, above)
         return np.where(inside, np.ravel_multi_index(tuple(number), self.grid.padded.shape), 0)
 
@@ -245,10 +246,12 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _to_goal(self) -> Distances:
-        # Dial, "Algorithm 360: Shortest-path forest with topological ordering" (1969): as buckets are narrower than
-        # the shortest step, no step stays in its bucket.
+        # Dial, "Algorithm 360: Shortest-path forest with topological ordering" (1969). Bucket i holds voxels whose
+        # distance is from i to i + 1 widths. A bucket is narrower than the shortest step, so every step leads to a
+        # later bucket. So the distances in the first bucket are final, and all its steps are taken at once.
         steps, legal = self._steps
         bits = np.arange(len(steps), dtype=np.uint32)
+        # Changes of the flat index. They equal the changes in bytes, since each boolean takes one byte.
         jumps = np.sum(steps * self.grid.padded.strides, axis=1)
         lengths = np.linalg.norm(steps * self.grid.sides, axis=1)
         width = lengths.min() * (1 - _ROUNDING)
@@ -257,18 +260,21 @@ class VoxelGraph(_CellGraph):
         distance[root] = 0.0
         buckets = {0: [root]}
         while buckets:
-            bucket = min(buckets)
-            voxels = np.concatenate(buckets.pop(bucket))
-            # Skip voxels that have become nearer since; they were processed in an earlier bucket.
-            voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == bucket])
+            # 1. Take the voxels of the first bucket, but not those that have become nearer: their bucket is done.
+            first = min(buckets)
+            voxels = np.concatenate(buckets.pop(first))
+            voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == first])
+            # 2. Take all their legal steps.
             begin, step = np.nonzero((legal[voxels][:, None] >> bits) & np.uint32(1))
-            end, length = voxels[begin] + jumps[step], distance[voxels][begin] + lengths[step]
-            better = length < distance[end]
-            end, length = end[better], length[better]
+            end = voxels[begin] + jumps[step]
+            length = distance[voxels][begin] + lengths[step]
+            # 3. Put the voxels that become nearer into their new buckets.
+            is_nearer = length < distance[end]
+            end, length = end[is_nearer], length[is_nearer]
             np.minimum.at(distance, end, length)
-            later = (length / width).astype(np.int64)
-            for number in np.unique(later).tolist():
-                buckets.setdefault(number, []).append(end[later == number])
+            bucket = (length / width).astype(np.int64)
+            for number in np.unique(bucket).tolist():
+                buckets.setdefault(number, []).append(end[bucket == number])
         return distance
 
 
@@ -349,18 +355,22 @@ class GridField:
         """
         from scipy import ndimage  # slow to import, and needed only here
 
+        # Places are in units of cells, in the order of the array's axes: cell k lies from k to k + 1. The arrays of
+        # `_padded` have one more cell in front, so place k + 1/2, the center of cell k, has the index k + 1 there.
         shape = np.array(self.values.shape)[:, None]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
-        padded, filled, weights, parted = self._padded
-        values, is_known = ndimage.map_coordinates(padded, places + 0.5, order=1), np.ones(len(x), bool)
-        if len(beside := np.flatnonzero(np.isnan(values))):
-            places = places[:, beside]
-            nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
+        padded, filled, weights, is_split = self._padded
+        values = ndimage.map_coordinates(padded, places + 0.5, order=1)
+        is_known = np.ones(len(x), bool)
+        # A center without a value is NaN even if its weight is 0, so NaN marks all points beside such centers.
+        if len(unknown := np.flatnonzero(np.isnan(values))):
+            places = places[:, unknown]
+            in_cell = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
             total, weight = (ndimage.map_coordinates(table, places + 0.5, order=1) for table in (filled, weights))
-            among = np.divide(total, weight, out=np.full(len(beside), np.inf), where=weight > 0)
-            if parted is not None:
-                among = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, among)
-            values[beside], is_known[beside] = among, np.isfinite(nearest)
+            mean = np.divide(total, weight, out=np.full(len(unknown), np.inf), where=weight > 0)
+            if is_split is not None:
+                mean = np.where(is_split[tuple((places + 0.5).astype(np.intp))], in_cell, mean)
+            values[unknown], is_known[unknown] = mean, np.isfinite(in_cell)
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
@@ -370,17 +380,20 @@ class GridField:
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        # Distances with NaN, and with 0, for cells without a value; 1 for cells with a value, else 0; and a mask. The
-        # mask, or None, marks boxes between neighboring centers in which cells with a value touch only at an edge or
-        # corner: no distances are interpolated there. The other arrays have a layer of copied cells around them.
+        # Four arrays. The first three have a layer of copied cells around the grid:
+        #   padded    the distance, NaN in cells without a value
+        #   filled    the distance, 0 in cells without a value
+        #   weights   1 in cells with a value, else 0
+        #   is_split  for each box between neighboring centers, whether its cells with a value touch only at an edge
+        #             or corner: no distances are interpolated there. None: there is no such box.
         padded = np.where(np.isfinite(self.values), self.values, np.nan)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):
             padded = padded.take(np.arange(-1, padded.shape[axis] + 1), axis, mode="wrap" if is_periodic else "clip")
-        is_known, parted = ~np.isnan(padded), None
+        is_known, is_split = ~np.isnan(padded), None
         if padded.ndim > 1 and not is_known.all():
             sets = np.zeros(np.array(padded.shape) - 1, np.intp)
             for bit, corner in enumerate(product((0, 1), repeat=padded.ndim)):
                 around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, padded.shape, strict=True))
                 sets |= is_known[around].astype(np.intp) << bit
-            parted = disconnected_sets(padded.ndim)[sets]
-        return padded, np.where(is_known, padded, 0.0), is_known.astype(float), parted
+            is_split = disconnected_sets(padded.ndim)[sets]
+        return padded, np.where(is_known, padded, 0.0), is_known.astype(float), is_split

@@ -82,7 +82,8 @@ class Solution:
         cost: Sum of the path's motion costs; ``inf`` if there is no path.
         makespan: Duration of the path (see :func:`plr_jax.makespan`); ``inf`` if there is no path.
         lower_bound: Proven lower bound of the cost of every path.
-        status: Reason why the planner ended. Any status may come with a path.
+        status: Reason why the planner ended. Any status may come with a path: EXHAUSTED, for instance, with a path
+            that costs more than the cost factor allows.
         stats: Effort of the planner.
         samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
             ``bl_plan``, nodes of LaCAM or best-first search, whichever has more, on the lattices searched last.
@@ -299,8 +300,7 @@ class BLOptions:
     def __post_init__(self) -> None:
         if self.step is not None:
             as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
-        expected, bound = "a finite number of at least 0", self.lower_bound
-        as_number("lower_bound", bound, expected, lambda bound: 0 <= bound < math.inf)
+        as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < math.inf)
         for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
         if self.heuristic_weight is not None:
@@ -334,10 +334,11 @@ class SearchBudget:
     def exceeded(self) -> Status | None:
         """Return the status of the limit that rules out one more expansion, or None."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
-            return Status.EXPANSION_LIMIT
+            return Status.EXPANSION_LIMIT  # after the deadline, the status is TIME_LIMIT
         return self.spent()
 
     def spent(self) -> Status | None:
+        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, or None; expansions do not count."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None

@@ -26,7 +26,7 @@ class TraceStatus(IntEnum):
     OUTSIDE = 1
     """There is no path: the start is outside the domain or cut off from the goal, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
-    """The path ends at a corner; the file has its distance to the goal, but not the next corner on the way.
+    """The path ends at a corner; the file has the corner's distance to the goal, but not the next corner on the way.
 
     With a workspace, the start sees no other source with a free path to the goal either.
     """
@@ -69,12 +69,12 @@ class Traces:
 def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> Traces:
     """Return paths to the goal from many starts, read from a PLR of cones.
 
-    A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
-    start's leaf, every further segment to the next source on the shortest path from there. A path that ends at the
-    goal is as long as the PLR's value at the start. Segments between sources cross no wall, but for rounding. The
-    first segment may cross a wall, if the start does not see the source of its leaf. It does cross a wall if the
-    start is in an obstacle. From a source, the first segment leads to the next source. Where the PLR answers ``inf``,
-    there is no path.
+    A cone measures distances from its *source*, the goal or a corner. The path leads from the start to the source of
+    the start's leaf, then to the next source on the shortest path from there, and so on. A path that starts at the
+    source of its leaf leads to the next source. A path that ends at the goal is as long as the PLR's value at the
+    start. Segments between sources cross no wall, but for rounding. The first segment may cross a wall: it does if
+    the start does not see the source of its leaf, or is in an obstacle. Where the PLR answers ``inf``, there is no
+    path.
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
     that source does not lead to the goal, the start gets the shortest path through another source that it sees.
@@ -104,38 +104,41 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     starts = as_points("starts", starts, plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
     leaf = plr.numpy().leaf(starts[inside])
-    inside, leaf = (each[~plr.unreachable[leaf]] for each in (inside, leaf))
-    x, first, is_free = starts[inside], source_of_leaf[leaf], np.ones(len(inside), bool)
+    has_path, leaf = (each[~plr.unreachable[leaf]] for each in (inside, leaf))
+    x, first = starts[has_path], source_of_leaf[leaf]
+    is_free = np.ones(len(x), bool)
     if workspace is not None:
         from plr_jax.plr.source_sight import source_sight
 
         first, is_free = source_sight(plr, workspace, rounding).free_paths(x, first)
 
-    # 1. Follow the parents of sources up to the roots, which are repeated; decoded sources have no cycles.
-    used, place = np.unique(first, return_inverse=True)
-    ways = [used]
-    while (sources.parents[ways[-1]] != ways[-1]).any():
-        ways.append(sources.parents[ways[-1]])
-    way = np.stack(ways, axis=1)
+    # 1. Follow the parents of each distinct first source up to its root, which is its own parent. Column k of `chain`
+    #    has the source after k steps; shorter chains repeat their root. Decoded sources have no cycles.
+    source, row = np.unique(first, return_inverse=True)
+    generations = [source]
+    while (sources.parents[generations[-1]] != generations[-1]).any():
+        generations.append(sources.parents[generations[-1]])
+    chain = np.stack(generations, axis=1)
 
-    # 2. Collect the points of the paths; drop the start if it is a source.
-    onward = sources.points[way]
-    paths = np.concatenate([x[:, None], onward[place]], axis=1)
+    # 2. Collect the points of the paths. Repeated roots add no length. A start that is a source is there twice: shift
+    #    the path to drop it.
+    corners = sources.points[chain]
+    paths = np.concatenate([x[:, None], corners[row]], axis=1)
     lengths = np.linalg.norm(paths[:, 1] - x, axis=1)
-    lengths += np.linalg.norm(np.diff(onward, axis=1), axis=2).sum(axis=1)[place]
+    lengths += np.linalg.norm(np.diff(corners, axis=1), axis=2).sum(axis=1)[row]
     at_source = (paths[:, 1] == x).all(axis=1)
-    counts = 2 - at_source + np.count_nonzero(way[:, 1:] != way[:, :-1], axis=1)[place]
+    counts = 2 - at_source + np.count_nonzero(chain[:, 1:] != chain[:, :-1], axis=1)[row]
     paths[at_source, :-1] = paths[at_source, 1:]
     paths = paths[:, : max(1, counts.max(initial=1))]
 
     # 3. Find how each path ends.
-    is_at_goal = sources.distances[way[:, -1]] <= rounding
-    status = np.where(is_at_goal[place], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
-    status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
+    is_at_goal = sources.distances[chain[:, -1]] <= rounding
+    status = np.where(is_at_goal[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    status[~is_free] = TraceStatus.CROSSES_WALL
 
     # 4. Add rows for starts without a path.
     columns = []
     for rows, fill in ((paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)):
         columns.append(np.full((len(starts), *rows.shape[1:]), fill, rows.dtype))
-        columns[-1][inside] = rows
+        columns[-1][has_path] = rows
     return Traces(*columns, are_tested=workspace is not None)

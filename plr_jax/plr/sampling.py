@@ -23,6 +23,8 @@ from plr_jax.plr.tree import Cells, Rows
 MAX_ASPECT_BITS = 3
 _RANK_TOLERANCE = 1e-9  # relative size of singular values that count as zero
 _FACE_WEIGHT = 0.01  # weight of samples on faces and corners, which hardly change fits; inside it is 1
+_SAMPLES_PER_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
+_FINE_DEPTH = 5  # halvings along each axis after which a cell is small enough to be judged by few samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +60,14 @@ class Pattern:
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        # Orthonormal bases of the functions that are a plane in either half of a cell.
+        # Let W be the diagonal matrix of the weights, and the columns of U an orthonormal basis of all W^(1/2) f for
+        # functions f that are a plane in either half of a cell. For each axis, the basis is W^(1/2) U: then
+        # `|residual @ basis|**2` is how much two planes reduce the weighted sum of squares, |W^(1/2) residual|**2.
         root = np.sqrt(self.weight)[:, None]
         bases = []
         for design in self.halves:
-            functions, size, _ = np.linalg.svd(design * root, full_matrices=False)
-            bases.append(root * functions * (size > _RANK_TOLERANCE * size[0]))
+            orthonormal, size, _ = np.linalg.svd(design * root, full_matrices=False)
+            bases.append(root * orthonormal * (size > _RANK_TOLERANCE * size[0]))
         return bases
 
 
@@ -75,14 +79,13 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     by ``margin`` times its width.
     """
     rng = np.random.default_rng(seed)
-    center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
     per_face = num_samples // (6 * dim)
     sides = [(axis, side) for axis in range(dim) for side in (-1.0, 1.0)]
     faces = [np.insert(2 * lattice(per_face, rng.random(dim - 1)) - 1, *side, axis=1) for side in sides]
     num_inside = num_samples - 1 - len(corners) - len(faces) * per_face
     inside = 2 * lattice(num_inside, rng.random(dim)) - 1
-    u = np.concatenate([center, inside, corners, *faces]) * (1 + 2 * margin)
+    u = np.concatenate([np.zeros((1, dim)), inside, corners, *faces]) * (1 + 2 * margin)  # the center is the first
     weight = np.repeat([1.0, _FACE_WEIGHT], [1 + num_inside, len(u) - 1 - num_inside])
     return Pattern(u, weight)
 
@@ -138,24 +141,23 @@ def masked_cells(weight: OfSamples) -> Int[np.ndarray, " masked"]:
 def solve_planes(
     design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    # Solve the normal equations; slopes are 0 along directions without samples.
+    # Solve the normal equations of each cell, (D' W D + ridge) plane = projection = D' W value, with the design D and
+    # the diagonal matrix W of the weights. By the ridge, slopes are 0 along directions without samples.
     k, terms = design.shape
     products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
     normal = row_products(weight, products).reshape(-1, terms, terms)
-    total = normal[:, 0, 0].copy()
+    total = normal[:, 0, 0].copy()  # sum of the weights, since the first column of the design is 1
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
-    normal[:, 0, 0] += total == 0
+    normal[:, 0, 0] += total == 0  # without samples, the solution is the zero plane
     return np.linalg.solve(normal, projection[..., None])[..., 0]
 
 
-_FEW_A_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
-_FINE = 5  # halvings along each axis of cells that are fine enough to be judged by few samples
 WeightFn = Callable[[Points], Float[np.ndarray, " n"]]
 
 
 def few_samples(dim: int) -> int:
-    return _FEW_A_TERM * (1 + dim)
+    return _SAMPLES_PER_TERM * (1 + dim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +175,8 @@ class CellFit(Rows):
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
         urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for others.
-            It holds points that reach the goal and far cut-off points (see :class:`Reach`). Or little of the domain
-            reaches the goal, and the cell has too few samples that do.
+            A cell is urgent for one of two reasons. It holds points that reach the goal as well as far cut-off points
+            (see :class:`Reach`). Or little of the domain reaches the goal, and few samples of the cell do.
         is_cut_off: Whether each cell holds cut-off points, and no point that reaches the goal.
     """
 
@@ -236,7 +238,7 @@ class Sampler:
         if pattern.reaches_beyond:
             points = self.domain.wrapped(points)
         x = points.reshape(-1, cells.dim)
-        if self.cache is None or pattern.reaches_beyond:
+        if self.cache is None or pattern.reaches_beyond:  # the cache is for points inside of the cells
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
             distance = distances_in_cells(self.cache.sources(cells), points)
@@ -251,23 +253,24 @@ class Sampler:
         residual = value - (center[:, None] + row_products(half, pattern.u.T))
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
-        fit = cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual
-        is_cut_off = np.zeros(len(cells), bool)
-        if self.reach is not None:
-            is_cut_off[:] = self.reach.is_cut_off(*cells.fractions)
-        return CellFit(*fit, self._urgent_axes(cells, reachable.sum(axis=1)), is_cut_off)
+        samples = reachable, weight, value
+        urgent_axis = self._urgent_axes(cells, reachable.sum(axis=1))
+        is_cut_off = np.zeros(len(cells), bool) if self.reach is None else self.reach.is_cut_off(*cells.fractions)
+        return CellFit(cells, pattern, self.max_axis_depth, *samples, center, half, residual, urgent_axis, is_cut_off)
 
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
         # The axis along which to halve cells at the border of what reaches the goal, and coarse cells in which few
         # samples reach it; -1 for other cells.
-        reach, axis = self.reach, np.full(len(cells), -1)
+        axis, reach = np.full(len(cells), -1), self.reach
         if reach is not None:
             axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
         if self.is_sparse:
-            few = (num_reachable <= few_samples(cells.dim)) & (cells.depth < _FINE).any(axis=1)
-            few = np.flatnonzero(few if reach is not None else few & (num_reachable > 0))
+            # Without a reach, a sample must show that the cell holds points that reach the goal.
+            is_few = (num_reachable <= few_samples(cells.dim)) & ((num_reachable > 0) | (reach is not None))
+            coarse = np.flatnonzero(is_few & (cells.depth < _FINE_DEPTH).any(axis=1))
             holds = (lambda lo, hi: np.ones(len(lo), bool)) if reach is None else reach.holds_reached
-            axis[few] = np.maximum(axis[few], urgent_axes(cells[few], holds, self.max_axis_depth))
+            # If both tests give an axis, either will do: take the larger number, as -1 stands for no axis.
+            axis[coarse] = np.maximum(axis[coarse], urgent_axes(cells[coarse], holds, self.max_axis_depth))
         return axis
 
     def sample_densely(self, cells: Cells) -> CellFit:
@@ -276,8 +279,8 @@ class Sampler:
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
 
-        It is enough that splits will find points that do. With ``pieces_suffice``, it is also enough that the oracle
-        knows free space from which the goal can be reached.
+        No error is raised if splits will find points that reach the goal. With ``pieces_suffice``, none is raised
+        either if the oracle knows free space from which the goal can be reached.
         """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
@@ -296,10 +299,11 @@ class Sampler:
         """
         fit = self.root()
         while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):
-            size = fit.cells.depth[urgent].sum(axis=1)
-            some = urgent[np.argsort(size, kind="stable")[: min(room, np.count_nonzero(size == size.min()))]]
-            halves = fit.cells[some].split(fit.urgent_axis[some])
-            fit = fit[np.setdiff1d(np.arange(len(fit)), some)].append(self(halves))
+            # Halve the largest urgent cells, all those of one size, if there is room.
+            num_splits = fit.cells.depth[urgent].sum(axis=1)
+            largest = urgent[num_splits == num_splits.min()][:room]
+            halves = fit.cells[largest].split(fit.urgent_axis[largest])
+            fit = fit[np.setdiff1d(np.arange(len(fit)), largest)].append(self(halves))
         if not fit.reachable.any():
             raise ValueError(f"No sample of {len(fit)} leaves reaches the goal. Allow more, or raise num_samples.")
         return fit
@@ -310,16 +314,21 @@ def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
 
 
 def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.ndarray, " cells"]:
-    """Return, for cells that pass a test, the axis along which fewest halves pass, or the longest; else -1."""
+    """Return the axis along which to halve each cell that passes the test ``holds``; -1 for other cells.
+
+    It is the axis along which the fewest halves pass. Of several such axes, it is the one along which the cell is
+    longest, in fractions of the domain. Axes that :func:`is_closed` excludes are left out; if all are, it is axis 0.
+    """
     axis = np.full(len(cells), -1)
-    some = np.flatnonzero(holds(*cells.fractions))
-    count, depth = np.empty((len(some), cells.dim)), cells.depth[some]
+    passing = np.flatnonzero(holds(*cells.fractions))
+    depth = cells.depth[passing]
+    score = np.empty(depth.shape)
     for k in range(cells.dim):
-        halves = cells[some].split(np.full(len(some), k))
-        count[:, k] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)
-    count += depth / (1 + depth.max(initial=0))
-    count[is_closed(depth, max_axis_depth)] = np.inf
-    axis[some] = np.argmin(count, axis=1)
+        halves = cells[passing].split(np.full(len(passing), k))
+        score[:, k] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)  # 0, 1 or 2 halves
+    score += depth / (1 + depth.max(initial=0))  # less than 1, so it only decides between equal numbers of halves
+    score[is_closed(depth, max_axis_depth)] = np.inf
+    axis[passing] = np.argmin(score, axis=1)
     return axis
 
 
@@ -333,17 +342,21 @@ def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.cache is None or not len(unseen):
         return fit
+    # In each such cell, take the largest convex piece of free space that reaches the goal. Let m be a point in the
+    # piece, d(m) its distance to the goal, and s the source to which the shortest path from m goes first. Near m,
+    #     d(x) ~ d(m) + gradient . (x - m),  where  gradient = (m - s) / |m - s|.
     visible = sampler.cache.sources(fit.cells[unseen])
     order = np.lexsort((-areas(visible.pieces), visible.cell))
-    first = order[np.append(True, np.diff(visible.cell[order]) > 0)[: len(order)]]
-    cell, middle = unseen[visible.cell[first]], visible.center[first]
-    toward = middle - visible.sources.points[visible.best[first]]
-    length = np.linalg.norm(toward, axis=1, keepdims=True)
-    slope = np.divide(toward, length, out=np.zeros_like(toward), where=length > 0)
+    cell, first = np.unique(visible.cell[order], return_index=True)
+    cell, piece = unseen[cell], order[first]
+    m = visible.center[piece]
+    from_source = m - visible.sources.points[visible.best[piece]]
+    length = np.linalg.norm(from_source, axis=1, keepdims=True)
+    gradient = np.divide(from_source, length, out=np.zeros_like(from_source), where=length > 0)
     lo, hi = (corner[cell] for corner in fit.cells.boxes(sampler.domain))
     center, half = fit.center.copy(), fit.half.copy()
-    center[cell] = visible.distance[first] + (slope * ((lo + hi) / 2 - middle)).sum(axis=1)
-    half[cell] = slope * (hi - lo) / 2
+    center[cell] = visible.distance[piece] + (gradient * ((lo + hi) / 2 - m)).sum(axis=1)
+    half[cell] = gradient * (hi - lo) / 2
     return replace(fit, center=center, half=half)
 
 

@@ -62,7 +62,11 @@ class Robot:
 
     @cached_property
     def half_sides(self) -> Float[np.ndarray, "2"] | None:
-        """Half length and half width if the core is a box centered on the reference point, or a point; else None."""
+        """Half length and half width if the core is a box centered on the reference point, or a point; else None.
+
+        A segment along an axis counts as a box of width 0.
+        """
+        # A box with k sides of positive length has 2**k vertices, all with the same |x| and |y|.
         half = np.abs(self.core[0])
         is_box = len(self.core) == 2 ** np.count_nonzero(half) and (np.abs(self.core) == half).all()
         return half if is_box else None
@@ -100,6 +104,7 @@ def team_dof(robots: Sequence[Robot]) -> int:
 
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
     """Return the signed shorter turns between headings, positive counterclockwise; half a turn counts as positive."""
+    # turns - ceil(turns - 1/2) lies in (-1/2, 1/2], so half a turn is positive.
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
 
@@ -121,6 +126,7 @@ def between(
 
 def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
     """Return a path's rows before and after given times, and the fraction of the motion between them that is done."""
+    # A time at the end belongs to the last motion. A path of one row has no motion: both rows are its only row.
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))

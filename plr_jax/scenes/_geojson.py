@@ -55,10 +55,12 @@ _PARTS_KEY = {
     "MultiPolygon": "coordinates",
     "Polygon": "coordinates",
 }  # supported objects, and the key of their parts
-_NUMBER = r"\s*[-+]?(?:nan|inf|[\d.]+(?:e[-+]?\d+)?)"  # of WKT
-_ALTITUDES = re.compile(rf"(?i)([(,]{_NUMBER}\s{_NUMBER})(?:\s{_NUMBER}){{1,2}}(?=\s*[,)])")  # and measures
-_DIMENSIONS = re.compile(r"(?i)([a-z])\s*(?:z|m|zm)\s*(?=\(|empty)")  # as in POLYGON ZM
-_REFERENCE = re.compile(r"(?i)^\s*srid\s*=\s*\d+\s*;")  # before the geometry in extended WKT
+# Parts of well-known text that are dropped: in "SRID=4326; POLYGON ZM ((1 2 3 4, ..." the reference "SRID=4326;", the
+# dimensions "ZM", and in each point the altitude 3 and the measure 4.
+_REFERENCE = re.compile(r"(?i)^\s*srid\s*=\s*\d+\s*;")
+_DIMENSIONS = re.compile(r"(?i)([a-z])\s*(?:z|m|zm)\s*(?=\(|empty)")
+_NUMBER = r"\s*[-+]?(?:nan|inf|[\d.]+(?:e[-+]?\d+)?)"
+_ALTITUDES = re.compile(rf"(?i)([(,]{_NUMBER}\s{_NUMBER})(?:\s{_NUMBER}){{1,2}}(?=\s*[,)])")
 _MOST_NESTED = 32  # parentheses of WKT: GEOS parses them by recursion
 _UNSUPPORTED = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
@@ -183,7 +185,9 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
     """Yield the polygons in a GeoJSON object; ``where`` names the object's place in the file for error messages."""
     if entry is None:
         return
-    kind, place = entry.get("type") if isinstance(entry, dict) else None, where or "the file"
+    kind = entry.get("type") if isinstance(entry, dict) else None
+    place = where or "the file"
+    # Empty points and lines are skipped, as empty polygons are.
     if isinstance(kind, str) and kind in _UNSUPPORTED and not entry.get("coordinates"):
         return
     if not isinstance(kind, str) or kind not in _PARTS_KEY:
@@ -227,8 +231,5 @@ def _polygon(rings: Any, where: str) -> Iterator[Any]:
 
 
 def _is_position(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) >= 2
-        and all(type(along) in (int, float) and math.isfinite(along) for along in value[:2])
-    )
+    pair = value[:2] if isinstance(value, list) else []
+    return len(pair) == 2 and all(type(along) in (int, float) and math.isfinite(along) for along in pair)

@@ -27,17 +27,26 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, " n"]) -> Booleans:
-    """Return whether the clearance of each point, its signed distance to walls, is at most the point's radius."""
-    # Most points are free with a negative radius: these need no distance.
+    """Return whether the clearance of each point, its signed distance to walls, is at most the point's radius.
+
+    For radii of at most 0, all points of free space count as farther than the radius, even if they are on a wall.
+    """
+    # Most points are in free space and have a negative radius. For these, no distance is computed.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
     within[within] = workspace.clearance(x[within]) <= radius[within]
     return within
 
 
-def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Return whether segments ``links`` are proven to cross a wall, even if their ends move by up to ``reaches``."""
-    # Sufficient: ends stay on opposite sides of the wall's line, and the wall's ends are farther from the segment
-    # than any point moves. The second end moves at least as far as the first.
+def crosses_walls(workspace: Workspace, links: Links, reaches: Float[np.ndarray, "n 2"]) -> Booleans:
+    """Return whether segments ``links`` are proven to cross a wall, even if their ends move by up to ``reaches``.
+
+    The second end of each link must have at least the reach of its first end.
+    """
+    #         a
+    #          \                  The link a b still crosses the wall p q if
+    #   p ------\------- q        1. a and b are on opposite sides of the wall's line, farther from it than they move;
+    #            \                2. p and q are farther from the link than any of its points moves: b moves most.
+    #             b
     boundary = workspace.boundary
     link, edge = workspace.edge_tree.query(shapely.linestrings(links), predicate="intersects")
     of_link, reach = links[link], reaches[link]
@@ -46,16 +55,17 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
     change = of_link[:, 1] - of_link[:, 0]
     for end in boundary.segments[edge].transpose(1, 0, 2):
         crosses &= distance_to_segment(*(of_link[:, 0] - end).T, *change.T) > reach[:, 1]
-    result = np.zeros(len(links), dtype=bool)
-    result[link[crosses]] = True
-    return result
+    return np.isin(np.arange(len(links)), link[crosses])
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, " n"]:
     """Return the distance between segments ``a[i]`` and ``b[i]``; 0 if they cross."""
-    distances, crosses = [], np.ones(len(a), dtype=bool)
+    # If segments do not cross, the distance is that of one of the four ends from the other segment.
+    distances = []
+    crosses = np.ones(len(a), dtype=bool)
     for segments, others in ((a, b), (b, a)):
-        along, from_ends = segments[:, 1] - segments[:, 0], segments[:, :1] - others
+        along = segments[:, 1] - segments[:, 0]
+        from_ends = segments[:, :1] - others  # from both ends of the other segment to the begin of this one
         distances += [distance_to_segment(*from_end.T, *along.T) for from_end in from_ends.transpose(1, 0, 2)]
         crosses &= cross_product(along[:, None], from_ends).prod(axis=1) < 0  # the ends are on opposite sides
     return np.where(crosses, 0.0, np.min(distances, axis=0))
@@ -65,12 +75,10 @@ def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     """Return whether Shapely shapes are at most a distance from walls; for distance 0, whether they touch walls."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
-    near = np.zeros(len(shapes), dtype=bool)
-    near[workspace.edge_tree.query(shapes, predicate="intersects")[0]] = True
-    return near
+    return np.isin(np.arange(len(shapes)), workspace.edge_tree.query(shapes, predicate="intersects")[0])
 
 
-# Share of the tolerance: walls closer to one another than this touch, so free space between them is a rounding error
+# Share of the tolerance. Walls closer to one another than this touch: free space between them is a rounding error.
 _SLIVER = 0.01
 
 
@@ -110,8 +118,8 @@ class PlaneSpace(BodySpace):
     ``workspace.tolerance``.
 
     The state of boxes is exact for a point. For a disc of radius ``r``, chords replace arcs around corners of
-    obstacles. So a blocked box near a corner may be MIXED if a slightly smaller disc fits at one of its positions. Up
-    to the tolerance, that disc's radius is smaller by less than the larger of ``0.005 * r`` and
+    obstacles. So near a corner, a blocked box may be MIXED if a slightly smaller disc fits at one of its positions.
+    The radius of such a disc is smaller by at most the tolerance, plus the larger of ``0.005 * r`` and
     ``0.0008 * (r * side**2) ** (1 / 3)``, where ``side`` is the longer side of free space.
     """
 
@@ -141,14 +149,17 @@ class PlaneSpace(BodySpace):
         point where obstacles touch is not FREE, since no path passes between these obstacles.
         """
         center, half = as_boxes(lo, hi, 2)
-        # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.
+        # 1. If no wall is within the radius of a box, the box is all free or all blocked, as its center is. Boxes are
+        #    shrunk by half the tolerance, so that a box that only touches a wall, or nearly so, may be FREE.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
         near = np.flatnonzero(near_walls(self.workspace, boxes, self.robot.rounding))
-        inside = shapely.intersects_xy(self._passable, *center.T)
-        state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
+        is_free = shapely.intersects_xy(self._passable, *center.T)
+        state = np.where(is_free, CellState.FREE, CellState.BLOCKED).astype(np.int8)
+        # 2. Other boxes are MIXED if they meet passable space. Boxes are shrunk, so that slivers do not count.
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
-        passable = shapely.intersects(self._passable, boxes)
-        state[near] = np.where(passable, CellState.MIXED, CellState.BLOCKED)
+        is_mixed = shapely.intersects(self._passable, boxes)
+        state[near] = np.where(is_mixed, CellState.MIXED, CellState.BLOCKED)
+        # 3. FREE boxes that touch a contact are MIXED, since no path passes the contact.
         free = np.flatnonzero(state == CellState.FREE)
         state[free[self._touch_contacts(_shrunk(center[free], half[free], 0.0))]] = CellState.MIXED
         return state
@@ -159,28 +170,32 @@ class PlaneSpace(BodySpace):
         The free part of the box must be one polygon without holes, with ``q`` on the inner side of every edge. The
         result is False if obstacles touch at ``q``.
         """
-        (q, _), (center, half) = as_motions(q, lo, 2), as_boxes(lo, hi, 2)
+        q, _ = as_motions(q, lo, 2)
+        center, half = as_boxes(lo, hi, 2)
         sees = np.zeros(len(q), dtype=bool)
         if self.robot.circumscribed_radius > 0:
             return sees
+        # 1. Find the boxes whose free part is one polygon without holes.
         parts: Any = shapely.intersection(self.workspace.free_space, _shrunk(center, half, 0.0))
         whole = shapely.get_type_id(parts) == shapely.GeometryType.POLYGON
         whole &= shapely.get_num_interior_rings(parts) == 0
+        # 2. Measure the height of q over the line of each edge, positive on the polygon's side, and the least height.
         rings: Any = shapely.get_exterior_ring(parts[whole])
         vertices, ring = shapely.get_coordinates(rings, return_index=True)
         edge = np.flatnonzero(ring[1:] == ring[:-1])
-        along, to_q = vertices[edge + 1] - vertices[edge], q[whole][ring[edge]] - vertices[edge]
+        along = vertices[edge + 1] - vertices[edge]
+        to_q = q[whole][ring[edge]] - vertices[edge]
         inward = np.where(shapely.is_ccw(rings), 1.0, -1.0)[ring[edge]]
-        depth = inward * cross_product(along, to_q)
+        height = inward * cross_product(along, to_q) / np.maximum(np.hypot(*along.T), np.finfo(float).tiny)
         least = np.full(np.count_nonzero(whole), np.inf)
-        np.minimum.at(least, ring[edge], depth / np.maximum(np.hypot(*along.T), np.finfo(float).tiny))
+        np.minimum.at(least, ring[edge], height)
         sees[whole] = least >= -self.workspace.tolerance / 2
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def separated(self, q: ArrayLike) -> "tuple[PlaneSpace, PlaneSpace | None]":
         """Divide the space into the polygons of free space that hold positions ``q``, and the rest, or None."""
-        polygons, may_squeeze = shapely.get_parts(self._passable), self.robot.circumscribed_radius == 0
-        may_squeeze &= self.workspace.squeeze
+        polygons = shapely.get_parts(self._passable)
+        may_squeeze = self.robot.circumscribed_radius == 0 and self.workspace.squeeze
         holds = joined_parts(polygons, as_points("q", q, 2), 2 * self.workspace.tolerance, may_squeeze)
         if holds.all() or not holds.any():
             return self, None
@@ -215,12 +230,14 @@ class _PlanePart(PlaneSpace):
         return self.region
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        free, q0 = super().are_free(q0, q1), np.asarray(q0, np.float64)
-        points: Any = shapely.points(q0[free])
+        free = super().are_free(q0, q1)
+        # A free motion stays in the polygon in which it begins.
+        points: Any = shapely.points(np.asarray(q0, np.float64)[free])
         free[free] = shapely.dwithin(self._passable, points, 2 * self.workspace.tolerance)
         return free
 
 
 def _shrunk(center: Positions, half: Positions, margin: float) -> Any:
+    # Shrink by the margin on each side, but at most to half the width, so that thin boxes keep an inside.
     half = np.maximum(half - margin, half / 2)
     return shapely.box(*(center - half).T, *(center + half).T)

@@ -31,10 +31,12 @@ _MAX_AXES = 4
 _MIN_FACTOR, _MAX_FACTOR = 1e-30, 1e30  # representable in float32 with room to spare
 _INTERPOLATIONS = ("bilinear", "nearest")
 _POINTS_PER_BATCH = 8192  # intermediate arrays of this many points stay in the cache
-_MAX_PATCHES = 3  # bounds are exact extremes over boxes that meet at most this many patches along each axis
+# A patch is a box between neighboring cell centers, in which the factor is multilinear. Bounds are exact extremes
+# over boxes that meet at most this many patches along each axis.
+_MAX_PATCHES = 3
 # Relative rounding errors of cell coordinates and of factors: several times the sum over the few operations of each.
-# All terms of an interpolation are positive, so nothing cancels.
-_COORDINATE_ROUNDING, _FACTOR_ROUNDING = 8 * np.finfo(float).eps, 256 * np.finfo(float).eps
+_COORDINATE_ROUNDING = 8 * np.finfo(float).eps
+_FACTOR_ROUNDING = 256 * np.finfo(float).eps  # all terms of an interpolation are positive, so nothing cancels
 _RADIUS_ROUNDING = 1e-9  # a cell this share beyond a radius counts as within: rounding of the bounds is smaller
 # Costs of costmap_2d, https://docs.ros.org/en/noetic/api/costmap_2d/html/cost__values_8h_source.html, and the
 # corresponding values of the occupancy grids in which Nav2 and ROS publish cost maps.
@@ -76,7 +78,7 @@ class RasterCost:
     values: Float[np.ndarray, "..."]
     domain: Box
     interpolation: str
-    _lethal: Bool[np.ndarray, "..."]  # the cells that ``inflated`` inflates
+    _lethal: Bool[np.ndarray, "..."]  # the cells that ``inflated`` inflates: of lethal cost in ROS, else blocked
 
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike | None = None, interpolation: str = "bilinear"):
         if is_data_array(values):
@@ -204,8 +206,7 @@ class RasterCost:
         return cost
 
     def __repr__(self) -> str:
-        shape = " x ".join(map(str, self.values.shape))
-        return f"RasterCost({shape} cells, {self.domain}, {self.interpolation!r})"
+        return f"RasterCost({' x '.join(map(str, self.values.shape))} cells, {self.domain}, {self.interpolation!r})"
 
     @property
     def dim(self) -> int:
@@ -246,19 +247,21 @@ class RasterCost:
         first, last = self._rounded_outward(lo, hi)
         above = np.floor(last) if self.interpolation == "nearest" else np.ceil(last)
         least, most = np.empty(len(first)), np.empty(len(first))
+        # 1. Look up the extremes over all cells of large boxes.
         patches = np.maximum((above - np.floor(first)).max(axis=1), 1)
-        is_large = (patches > _MAX_PATCHES) | (self.interpolation == "nearest")
-        ends = (np.floor(first[is_large]).astype(np.intp), above[is_large].astype(np.intp))
-        least[is_large], most[is_large] = self._table.extremes(*ends)
+        by_table = (patches > _MAX_PATCHES) | (self.interpolation == "nearest")
+        ends = (np.floor(first[by_table]).astype(np.intp), above[by_table].astype(np.intp))
+        least[by_table], most[by_table] = self._table.extremes(*ends)
+        # 2. Compute the extremes over other boxes. The lines of cell centers cut a box into pieces, one per patch.
+        #    The factor is multilinear in a piece, so its extremes over the box are at corners of pieces.
         for count in range(1, _MAX_PATCHES + 1):
-            few = np.flatnonzero(~is_large & (patches == count))
+            few = np.flatnonzero(~by_table & (patches == count))
             corners = np.array(list(product(range(count + 1), repeat=self.dim)))
             step = max(1, _POINTS_PER_BATCH // len(corners))
             for begin in range(0, len(few), step):
                 part = few[begin : begin + step]
-                # The factor is multilinear between lines of cell centers, so its extremes over a box are at corners
-                # of the pieces into which these lines cut the box.
                 lines = np.floor(first[part, None]) + np.arange(count + 1)[:, None]
+                # Coordinates of the corners of all pieces, (boxes, (count + 1)**dim, dim).
                 coords = np.clip(lines, first[part, None], last[part, None])[:, corners, np.arange(self.dim)]
                 factors = self._interpolated(coords.reshape(-1, self.dim)).reshape(coords.shape[:2])
                 least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
@@ -295,16 +298,17 @@ class RasterCost:
         return np.clip(coords, 0, self._sizes - 1)
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        # Convert to units of cells, enlarge by rounding errors, and shift to begin in the first period.
+        # 1. Convert to units of cells, and enlarge by rounding errors.
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
-        reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
-        first, last = first - reach, last + reach
-        turns = np.floor(first / self._sizes) * self._sizes
+        rounding = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
+        first, last = first - rounding, last + rounding
+        # 2. Along periodic axes, shift by whole periods, so that 0 <= first < size. A box that is no shorter than a
+        #    period becomes the whole period. Along other axes, clip to the coordinates of the outer cells.
+        shift = np.floor(first / self._sizes) * self._sizes
         is_whole = last - first >= self._sizes
-        around = np.where(is_whole, 0, first - turns), np.where(is_whole, self._sizes, last - turns)
-        within = self._clipped(first), self._clipped(last)
-        first, last = (np.where(self.domain.periodic, *ends) for ends in zip(around, within, strict=True))
-        return first, last
+        lower = np.where(self.domain.periodic, np.where(is_whole, 0, first - shift), self._clipped(first))
+        upper = np.where(self.domain.periodic, np.where(is_whole, self._sizes, last - shift), self._clipped(last))
+        return lower, upper
 
     @property
     def _sizes(self) -> Float[np.ndarray, "dim"]:
@@ -336,12 +340,10 @@ class RasterCost:
 
     @cached_property
     def _table(self) -> "SparseTable":
-        # Two periods along periodic axes, so that boxes may wrap.
+        # Periodic axes have two periods and one more cell: boxes begin below `size`, and end at most `size` later.
         factors = self._filled_factors
-        more = [
-            (0, size + 1 if wraps else 0) for size, wraps in zip(factors.shape, self.domain.periodic, strict=True)
-        ]
-        return SparseTable(np.pad(factors, more, mode="wrap") if self.domain.is_periodic else factors)
+        padding = [(0, (size + 1) * wraps) for size, wraps in zip(factors.shape, self.domain.periodic, strict=True)]
+        return SparseTable(np.pad(factors, padding, mode="wrap") if self.domain.is_periodic else factors)
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
@@ -357,7 +359,15 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 class SparseTable:
     """A table to look up the smallest and largest entry of any block of an array, as float32 rounded outward.
 
-    Bender and Farach-Colton, "The LCA problem revisited", 2000.
+    Level ``k`` has the extremes of all windows whose side is ``2**k``, or the whole axis if that is shorter. Windows
+    of the largest level that fits into a block cover the block; they may overlap, which does not change extremes::
+
+        block     |-----------|
+        windows   |-------|
+                      |-------|
+
+    A cube takes at most two windows along each axis, other blocks more along their longer axes. Bender and
+    Farach-Colton, "The LCA problem revisited", 2000.
     """
 
     values: Raster
@@ -366,17 +376,19 @@ class SparseTable:
         """Return the least and largest entry of blocks, given by first and last indices, rounded outward."""
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
-        level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)
+        # The number of levels after the first one whose windows fit is the largest such level.
+        extent = last - first + 1
+        level = np.count_nonzero((extent >= sides[1:, None]).all(axis=2), axis=0)
         for k in np.unique(level):
             blocks = np.flatnonzero(level == k)
-            counts = -(-(last - first + 1)[blocks] // sides[k])
+            counts = -(-extent[blocks] // sides[k])  # windows along each axis: rounded up
             for part in parts(counts.prod(axis=1), _WINDOWS_PER_BATCH):
                 rows = blocks[part]
                 least[rows], most[rows] = self._window_extremes(int(k), first[rows], last[rows], counts[part])
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        # Windows of the level's size, `counts` of them along each axis, cover a block.
+        # `counts` windows along each axis cover a block: side by side, but the last one ends where the block ends.
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, index = ragged_indices(totals)
@@ -392,12 +404,14 @@ class SparseTable:
     def _levels(self) -> list[tuple[Int[np.ndarray, " rank"], Window, Window]]:
         # Each level has a size of windows, and the smallest and largest entry of each window of this size.
         shape = np.array(self.values.shape)
-        side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
-        levels, entries = [(side, self.values, self.values)], 0
-        while (side < shape).any() and entries < _MAX_ENTRIES:
-            step = np.minimum(side, shape - side)
+        side, num_entries = np.ones_like(shape), 0
+        levels = [(side, self.values, self.values)]
+        least, most = _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
+        while (side < shape).any() and num_entries < _MAX_ENTRIES:
+            step = np.minimum(side, shape - side)  # doubles the side, up to the whole axis
             least, most = _merge_windows(np.minimum, least, step), _merge_windows(np.maximum, most, step)
-            side, entries = side + step, entries + 2 * least.size
+            side = side + step
+            num_entries += 2 * least.size
             levels.append((side, least, most))
         return levels
 

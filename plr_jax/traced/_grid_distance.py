@@ -111,8 +111,8 @@ def grid_distance(
             cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
         max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Maps with
             more give NaN and ``is_complete`` false. Time and memory grow with the square; without a goal, time with
-            the cube. Default: all cell corners inside grids with at most 256 of them (17 x 17 cells), else half of
-            them.
+            the cube. Default: the number of cell corners inside the grid, ``(h - 1) * (w - 1)``, if it is at most
+            256 (17 x 17 cells), else half of it.
     """
     mask = _as_mask(free)
     h, w = mask.shape
@@ -129,8 +129,9 @@ def grid_distance(
     point = None if point is None else _as_floats(goal=point)[0]
     count = 0
     if moves == "any-angle":
-        inside = (h - 1) * (w - 1)
-        count = max(1, min(inside, max_corners or (inside if inside <= MAX_LATTICE else -(-inside // 2))))
+        num_inner = (h - 1) * (w - 1)  # corners of cells inside the grid
+        default = num_inner if num_inner <= MAX_LATTICE else (num_inner + 1) // 2
+        count = max(1, min(num_inner, max_corners or default))
         if count > MOST_CORNERS:
             raise ValueError(
                 f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {count:,} on {h} x {w} cells: "
@@ -169,6 +170,7 @@ def _pairs(free: Mask, moves: Moves, count: int) -> tuple[StepPairs | CornerPair
 @jax.jit
 def _cells(field: GridDistance) -> Float[Array, "h w"]:
     h, w = field.shape
+    # Any-angle paths pad maps of one row or column.
     return jnp.where(field.is_nan | ~field.is_complete, jnp.nan, field.paths.cells()[:h, :w])
 
 
@@ -228,7 +230,7 @@ def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "
 def _as_array(value: ArrayLike) -> Array | np.ndarray:
     # NumPy converts booleans and floats, for which JAX would compile a program.
     if not isinstance(value, jax.Array):
-        # A list of traced numbers is no NumPy array, nor is a ragged one.
+        # NumPy refuses traced numbers in lists, which JAX converts below, and ragged lists, which JAX refuses, too.
         with suppress(jax.errors.TracerArrayConversionError, ValueError), np.errstate(over="ignore"):
             array = np.asarray(value)
             if array.dtype.kind in "bf":
