@@ -13,7 +13,8 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh, straight_bound
+from plr_jax.eikonal.bounds import CostToGoField
+from plr_jax.eikonal.certified import plr_of_bytes, plr_on_mesh, straight_bound
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
 from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
