@@ -197,7 +197,8 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, " leaves"]:
     """Return upper bounds of (cost-to-go - f) in each leaf from paths along centers of voxels, or ``inf``."""
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
-    # Let p be the leaf's point nearest to c. Along each axis, x is no farther from p than from c: half a side or less.
+    # Let p be the leaf's point nearest to c. Along each axis, x is no farther from p than from c: at most half a
+    # side, and at most the width of the leaf. So
     #   cost-to-go(x) <= |x - c| + length(c) <= |sides| / 2 + length(c)
     #            f(x) >= f(p) - sum over axes of across * min(side / (2 * width of the leaf), 1)
     grid = space.grid
