@@ -413,7 +413,7 @@ class _Splitting:
             inflow = inflow if len(inflow) == 1 else system.stiffness * (program.goal @ potential)
         # 3. Penalties of |flow| / radius make multipliers as long as gradients may be; where little flows, penalties
         #    are larger.
-        norm = program.sets.costs(flow) / radius  # |flow|
+        norm = program.sets.costs(flow) / radius  # |flow|, but for pulls
         positive = norm[norm > 0]
         self._penalty = np.maximum(norm, least_penalty * np.median(positive) if positive.size else 1.0) / radius
         stiffness = np.maximum(inflow, _LEAST_INFLOW * inflow.mean()) / across
@@ -460,7 +460,8 @@ class _Poisson:
             self.from_goals = csr_array((diags_array(stiffness) @ program.goal).T)
             matrix = matrix + self.from_goals @ program.goal
         self.matrix = csr_matrix(matrix[self._num_fixed :, self._num_fixed :])
-        # Factor the matrix, or beyond that size prepare multigrid as a preconditioner of conjugate gradients.
+        # Factor the matrix if it is small or the domain has one or two axes. Else prepare conjugate gradients, with
+        # multigrid as their preconditioner.
         self._factors: Any = None
         if program.dim <= 2 or (program.dim == 3 and len(program.weight) <= _MOST_FACTORED):
             options = {"SymmetricMode": True}
