@@ -140,7 +140,7 @@ def cost_distance(
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         _require_aligned("A mask of sources", sources, costs)
     points = _as_sources(sources, cost, box, order)
-    # 2. Distances, nearest sources and bounds.
+    # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
     lower = upper = plr = tree = None
     if rise is None:
         parts = parts_of_cells(cost, side)
@@ -180,6 +180,7 @@ def cost_distance(
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
+    # If both are a DataArray, they must have equal dimensions and coordinates.
     if not (is_data_array(raster) and is_data_array(costs)):
         return
     pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
@@ -191,7 +192,8 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    # Returns costs by ascending coordinates, inf in barriers; their box; and slices that restore the given order.
+    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and slices that restore the order."""
+    # 1. Check the shape of costs, and the size of cells.
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
         raise ValueError(
@@ -207,6 +209,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
         if (size != 1).any():
             raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
         box, order = data_array_box("costs", costs)
+    # 2. Check the values.
     cost = cost[order]
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
@@ -225,6 +228,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
 
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
     """Check the sources, points or a mask, and return points relative to the lower corner of the raster."""
+    # 1. Points: the centers of the mask's cells, in the order of the given raster; or points as given.
     side = box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:
@@ -246,6 +250,7 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 
+    # 2. All points must lie in cells of the raster that are no barriers.
     def first(wrong: Bool[np.ndarray, " k"]) -> str:
         row = int(np.argmax(wrong))
         return f"source {row} at {(points[row] + box.lo).tolist()}, one of {wrong.sum()}"
