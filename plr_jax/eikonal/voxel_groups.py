@@ -14,10 +14,9 @@ from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.march import Costs, marched
 from plr_jax.geometry.box import Box
 
-_WIDE = (
-    5  # groups along each axis of a cube around a group; the share of full groups in it says how wide the place is
-)
-_RANKS = 2  # these shares are rounded to so many steps
+# The share of full groups in a cube around a group says how wide the place is.
+_WIDE = 5  # groups along each axis of this cube
+_RANKS = 2  # shares are rounded to so many steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +97,9 @@ class VoxelGroups:
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
         """Return the costs of all open nodes, and costs of the groups' other voxels, from the ``cost`` of a march.
 
-        The first result is ``cost``, modified in place. A march misses nodes to which only other voxels lead. It begins
-        again in each region of these nodes, at the node nearest to the goal. For a group, the cost of its other voxel
-        that is nearest to the goal is returned: ``inf`` if it has none, or no path leads there.
+        The first result is ``cost``, modified in place. A march misses nodes to which only other voxels lead. It
+        begins again in each region of these nodes, at the node nearest to the goal. For a group, the cost of its
+        other voxel that is nearest to the goal is returned: ``inf`` if it has none, or no path leads there.
         """
         of_parts, others = self._costs_across_faces(cost, slowness)
         labeled: Any = ndimage.label(self.is_open & np.isfinite(of_parts))  # finite: the march missed the node
