@@ -94,7 +94,7 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 
 
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, " words"]) -> Bool[Array, "n m"]:
-    """Return which segments cross no blocked cell, by a table of the cells that they cross (:func:`crossed_cells`)."""
+    """Return which segments cross no blocked cell, from the table of cells that they cross (`crossed_cells`)."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
@@ -174,10 +174,10 @@ class Corners:
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Return, for each corner, a point close to it in the cell opposite to the blocked one."""
-        #   +---+---+      A corner (o) with one blocked cell (#) around it. Along each axis, blocked cells before it minus
-        #   |   | x |      blocked cells after it, summed over both rows or columns, are 1 or -1: the direction `away`
-        #   +---o---+      from the blocked cell to x. Here both are 1. Corners that are not convex may have the sum 0;
-        #   | # |   |      any point inside a cell will do for them.
+        #   +---+---+    A corner (o) with one blocked cell (#) around it. Along each axis, blocked cells before it
+        #   |   | x |    minus blocked cells after it, summed over both rows or columns, are 1 or -1: the direction
+        #   +---o---+    `away` from the blocked cell to x. Here both are 1. Corners that are not convex may have the
+        #   | # |   |    sum 0; any point inside a cell will do for them.
         #   +---+---+
         blocked = (~self.free).astype(dtype)
         to_right, to_upper = blocked[:, :-1] - blocked[:, 1:], blocked[:-1] - blocked[1:]
