@@ -74,8 +74,8 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 
     The part of a segment in the row is extended by ``slack`` columns at both ends. ``xp`` is NumPy or ``jax.numpy``.
     """
-    # The segment is at y0 + t * dy, with t from 0 to 1. It crosses the line below row k at t = (k - y0) / dy, clipped to
-    # [0, 1]: equal values at both lines of a row mean that the segment misses the row. A segment that goes down
+    # The segment is at y0 + t * dy, with t from 0 to 1. It crosses the line below row k at t = (k - y0) / dy, clipped
+    # to [0, 1]: equal values at both lines of a row mean that the segment misses the row. A segment that goes down
     # crosses the upper line first.
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
@@ -94,7 +94,7 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 
 
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, " words"]) -> Bool[Array, "n m"]:
-    """Return which segments cross no blocked cell, from the table of cells that they cross (`crossed_cells`)."""
+    """Return which segments cross no blocked cell, by a table of :func:`crossed_cells`."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
