@@ -20,7 +20,7 @@ from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.goals import Points, nearest_goals
 from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
-from plr_jax.eikonal.program import ROUNDING, SlopeProgram
+from plr_jax.eikonal.program import ROUNDING, Numbers, SlopeProgram
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr.tree import PLACING, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes
@@ -30,7 +30,6 @@ _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has th
 #   _OFF * max(lower bound, _NEAR * largest lower bound).
 _OFF = 0.1
 _NEAR = 0.01
-Numbers: TypeAlias = Float[np.ndarray, " n"]
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 

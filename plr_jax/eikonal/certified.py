@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import parts, ragged_indices
-from plr_jax.eikonal.bounds import CostToGoField, MeshEstimate, Numbers
+from plr_jax.eikonal.bounds import CostToGoField, MeshEstimate
 from plr_jax.eikonal.elements import basis
 from plr_jax.eikonal.goals import Goals, Points
-from plr_jax.eikonal.program import ROUNDING
+from plr_jax.eikonal.program import ROUNDING, Numbers
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import VoxelGraph
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, filled_coefficients
@@ -27,7 +27,7 @@ from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaf_faces import overlapping_leaves
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
-from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
+from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, MotionCost, VoxelSpace
 
@@ -80,8 +80,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
         return np.where(np.isfinite(on_grid), on_grid, on_mesh)
 
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
-    rules = limits.max_axis_depth, least_squares, None, estimate.reach
-    sampler = Sampler(distances, domain, None, pattern, pattern, *rules)
+    sampler = Sampler(distances, domain, None, pattern, pattern, limits.max_axis_depth, reach=estimate.reach)
     tree, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
     contents = DecodedFile(domain, model, tree, stored, cut_off=cut_off_leaves(estimate.reach, tree))
     return plr_of_leaves(contents if field is None else _with_proof(contents, field, straight))
@@ -219,9 +218,8 @@ def _above_voxel_paths(
     spare = spare + np.sum(across * np.minimum(grid.sides / (2 * widths), 1.0), axis=1)
     # 3. The largest length(c) - f(p) over the free voxels that hold points of each leaf.
     lo, hi = cells.grown_boxes(space.domain)
-    shape = np.array(grid.padded.shape)
-    first = np.clip(grid.numbers(lo.T)[0].T, 1, shape - 2)
-    last_voxel = np.clip(grid.numbers(hi.T)[1].T, 1, shape - 2)
+    first = np.clip(grid.numbers(lo.T)[0].T, 1, space.free.shape)
+    last_voxel = np.clip(grid.numbers(hi.T)[1].T, 1, space.free.shape)
     counts = last_voxel - first + 1
     above = np.full(len(cells), -np.inf)
     for batch in parts(counts.prod(axis=1), _PAIRS_AT_ONCE):

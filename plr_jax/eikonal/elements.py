@@ -107,10 +107,10 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Across each open face, find nodes that are one with a node of the other cell (`same`), and nodes that hang on
-    #    the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it.
+    #    the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it. Find also pairs
+    #    of cells (`crossing`), and the local coordinates in both (`places`) of a point that is a node of neither.
     stride = (degree + 1) ** np.arange(mesh.dim)[::-1]  # from the place of a node in the lattice to its index
-    same, hanging, on_cell, at = [], [], [], []
-    crossing, places = [], []  # pairs of cells, and the local coordinates in both of a point in neither's lattice
+    twins, hangers, crossings = [], [], []
     for axis in range(mesh.dim):
         faces = mesh.open_faces[mesh.open_faces.axis == axis]
         for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
@@ -122,10 +122,8 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
             t = t[face, index]
             is_node = np.all(t * degree == np.rint(t * degree), axis=1)
             twin = other[face] * size + np.rint(t * degree).astype(int) @ stride
-            same.append(np.stack([node, twin])[:, is_node])
-            hanging.append(node[~is_node])
-            on_cell.append(other[face[~is_node]])
-            at.append(t[~is_node])
+            twins.append(np.stack([node, twin])[:, is_node])
+            hangers.append((node[~is_node], other[face[~is_node]], t[~is_node]))
         # If cells are long along different axes, a corner of their shared face (x) may be a node of neither:
         #       o------o
         #       | b    |          A face of cell a (wide) and a face of cell b (high) lie in one plane.
@@ -141,10 +139,10 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         t = mesh.local(pair, x.reshape(1, -1, mesh.dim))
         t[:, :, axis] = [[1.0], [0.0]]
         is_node = (t * degree == np.rint(t * degree)).all(axis=2).any(axis=0)
-        crossing.append(pair[:, ~is_node])
-        places.append(t[:, ~is_node])
-    same, crossing, places = (np.concatenate(columns, axis=1) for columns in (same, crossing, places))
-    hanging, on_cell, at = (np.concatenate(rows) for rows in (hanging, on_cell, at))
+        crossings.append((pair[:, ~is_node], t[:, ~is_node]))
+    same = np.concatenate(twins, axis=1)
+    hanging, on_cell, at = (np.concatenate(rows) for rows in zip(*hangers, strict=True))
+    crossing, places = (np.concatenate(columns, axis=1) for columns in zip(*crossings, strict=True))
     # 2. Number groups of nodes that are one, and express hanging groups by free ones: a hanging group's value is the
     #    sum over the cell's nodes of the basis function at its place times the value of the node's group. Groups are
     #    replaced until only free ones remain: row i of `resolved` has their weights in the value of group i.

@@ -25,18 +25,8 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
-from plr_jax.spaces import (
-    CellState,
-    ConfigurationSpace,
-    CostMap,
-    DirectionalCost,
-    PlaneSpace,
-    RasterCost,
-    VoxelSpace,
-    motion_rates,
-    point_costs,
-    pulled,
-)
+from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace
+from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_rates, point_costs, pulled
 
 MOST_AXES = 3
 # Default numbers of nodes by the number of axes.
@@ -365,11 +355,10 @@ def _close_beside_walls(
         is_tested = is_open & np.roll(is_open, -1, axis) & ~(is_free & np.roll(is_free, -1, axis))
         if not wraps:
             is_tested[(slice(None),) * axis + (-1,)] = False
+        unit = np.arange(len(side)) == axis
         begin = np.argwhere(is_tested)
-        end = begin.copy()
-        end[:, axis] = (end[:, axis] + 1) % is_open.shape[axis]
-        step = np.zeros(len(side))
-        step[axis] = side[axis]
+        end = (begin + unit) % is_open.shape
+        step = side * unit
         q = node[tuple(begin.T)]
         is_walled = ~space.are_free(q, q + step)
         begin, end, q = begin[is_walled], end[is_walled], q[is_walled]

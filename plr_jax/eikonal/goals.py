@@ -28,11 +28,9 @@ def nearest_goals(
     """
     scale = motion_cost.scale
     if len(goals) == 1:
-        distance = np.full((len(x), count), np.inf)
-        distance[:, 0] = np.linalg.norm(scale * domain.difference(goals[0], x), axis=1)
-        index = np.ones((len(x), count), np.int64)
-        index[:, 0] = 0
-        return distance, index
+        is_goal = np.arange(count) == 0
+        distance = np.linalg.norm(scale * domain.difference(goals[0], x), axis=1)[:, None]
+        return np.where(is_goal, distance, np.inf), np.where(is_goal, 0, np.ones((len(x), 1), np.int64))
     # The tree takes coordinates from 0 up to the period, exclusive; a period of 0 says that an axis is not periodic.
     period = np.where(domain.periodic, domain.width * scale, 0.0)
 

@@ -62,18 +62,16 @@ class CellCosts:
     @property
     def midway(self) -> "CellCosts":
         """A copy whose upper bounds are the means of the lower and upper bounds: estimates of costs, not bounds."""
-        lower, least = self.lower, self.least
-        if self.pulls is not None:  # no cost is negative
-            longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
-            lower, least = np.maximum(lower, longest), np.maximum(least, longest)
+        # No cost is negative, so the factor is at least the longest pull.
+        longest = 0.0 if self.pulls is None else np.linalg.norm(self.pulls, axis=2).max(axis=0)
+        lower, least = np.maximum(self.lower, longest), np.maximum(self.least, longest)
         return replace(self, upper=(lower + self.upper) / 2, most=(least + self.most) / 2)
 
     @cached_property
     def least_rate(self) -> float:
         """A lower bound, at least 0, of the cost of any motion whose norm is 1, in any cell."""
-        if self.pulls is None:
-            return float(self.lower.min())
-        return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
+        saved = 0.0 if self.pulls is None else np.linalg.norm(self.pulls, axis=2).min(axis=0)
+        return float(np.maximum(self.lower - saved, 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
         """Return upper bounds of the costs of motions by vectors ``change``, each in one cell.
@@ -215,10 +213,8 @@ class SlopeSets:
         """Return the least costs of motions by the vectors ``-flow``, the support functions of the sets."""
         # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|; of a segment,
         # the larger value at its ends -pulls[0] and -pulls[1]; of a sum of sets, the sum of their support functions.
-        norm = np.sum(self.lengths(flow), axis=0)
-        if self.pulls is None:
-            return self.radius * norm
-        return self.radius * norm + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
+        of_ball = self.radius * np.sum(self.lengths(flow), axis=0)
+        return of_ball if self.pulls is None else of_ball + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
 
 
 # Least penalty, as a share of the median flow: flows converge sooner with a small one, values with a large one.
@@ -432,12 +428,10 @@ class _Splitting:
     def step(self) -> None:
         self.u = self._system.solve(self._load, self._z - self._y, self._z_goals - self._y_goals, self.u)
         if len(self._y_goals) > 1:
-            at_goals = self._program.goal @ self.u
-            v = _RELAXATION * at_goals + (1 - _RELAXATION) * self._z_goals + self._y_goals
+            v = _RELAXATION * (self._program.goal @ self.u) + (1 - _RELAXATION) * self._z_goals + self._y_goals
             self._z_goals = np.minimum(v, 0.0)
             self._y_goals = v - self._z_goals
-        g = self._program.gradients(self.u)
-        v = _RELAXATION * g + (1 - _RELAXATION) * self._z + self._y
+        v = _RELAXATION * self._program.gradients(self.u) + (1 - _RELAXATION) * self._z + self._y
         self._z = self._program.sets.project(v)
         self._y = v - self._z
 

@@ -42,6 +42,9 @@ Nearest = Int[np.ndarray, "rows columns"]
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
+AtOffset = Callable[
+    [tuple[int, int]], np.ndarray
+]  # values of the cells at an offset, in rows and columns, from others
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
@@ -115,24 +118,23 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     steep by repeated projections, and at last rescaled to be such a function.
     """
     #   3-------2    1. The triangles of a cell, one at each side. Triangle k has the side from corner k to the next
-    #   | \ 2 / |       corner, along the axis axes[k], and the center m. The corners k of all cells are the part
-    #   |3  m  1|       places[k] of the table of corners.
+    #   | \ 2 / |       corner, along an axis, and the center m. The corners k of all cells are the part places[k] of
+    #   |3  m  1|       the table of corners.
     #   | / 0 \ |
     #   0-------1
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
     cost, at_centers, at_corners = cost / least, at_centers / least, at_corners / least
     places = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
-    sides = list(zip(places, (*places[1:], places[0]), strict=True))
-    axes = 0, 1, 0, 1
+    triangles = list(zip(places, (*places[1:], places[0]), (0, 1, 0, 1), strict=True))
     is_known = np.isfinite(at_corners)  # paths do not pass where two barriers touch: nothing binds such a corner
-    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q in sides]  # largest slope in each triangle
+    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q, _ in triangles]  # largest slopes
     middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
 
     def steepness(triangle: int) -> Raster:
         # The slope of the linear function over its largest value. Along the side of length s, it is (u_q - u_p) / s.
         # Across, from the center to the middle of the side, half the other side of the cell away, it is
         # ((u_p + u_q) / 2 - u_m) / (t / 2).
-        (p, q), axis = sides[triangle], axes[triangle]
+        p, q, axis = triangles[triangle]
         along = (corner[q] - corner[p]) / side[axis]
         across = (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
         return np.sqrt(along * along + across * across) / most[triangle]
@@ -141,7 +143,7 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     #    triangles are treated at once, and each value takes the mean of the changes that steep triangles ask for.
     for _ in range(_PROJECTIONS):
         change, count = ([np.zeros_like(values) for values in (middle, corner)] for _ in range(2))
-        for triangle, (p, q) in enumerate(sides):
+        for triangle, (p, q, _) in enumerate(triangles):
             excess = np.maximum(steepness(triangle), 1.0)
             mean = (corner[p] + corner[q] + middle) / 3
             shrinkage, is_steep = 1 / excess - 1, excess > 1
@@ -181,10 +183,9 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     # 1. Cells with a source are inside of the first front. In a cell with several sources the first one counts: it is
     #    written last.
     home = tuple(cells_of(points, side, cost.shape)[::-1].T)
-    front = np.full(cost.shape, side.min())
-    front[home] = -_TINY * side.min()
     label = np.full(cost.shape, -1, np.int32)
     label[home] = np.arange(len(points))[::-1]
+    front = np.where(label >= 0, -_TINY * side.min(), side.min())
     # 2. March, unless all free cells have a source.
     distance = np.where(label >= 0, 0.0, np.inf)
     if (np.isfinite(cost) & (label < 0)).any():
@@ -362,12 +363,7 @@ def _straight_costs(
 
 
 def _mean_factor(
-    i: int,
-    j: int,
-    length: float,
-    height_at: Callable[[tuple[int, int]], np.ndarray],
-    slope_fn: Slope,
-    from_sources: bool,
+    i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope, from_sources: bool
 ) -> np.ndarray:
     """Return the mean factors of motions by ``(i, j)`` cells, from all cells if ``from_sources``, else back to them.
 
@@ -389,7 +385,7 @@ def _mean_factor(
     return np.mean(np.broadcast_to(factor, slopes.shape), axis=0)
 
 
-def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
+def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     """Return the mean costs along straight motions from many cells, ``inf`` where barriers stop the motion.
 
     Each motion goes by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell

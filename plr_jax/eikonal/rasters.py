@@ -8,19 +8,8 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_bool, as_numbers, as_point, as_points, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.raster_search import (
-    MOST_CELLS,
-    MOST_ON_REQUEST,
-    PathTree,
-    Points,
-    Raster,
-    Slope,
-    cells_of,
-    march,
-    parts_of_cells,
-    search,
-    search_finely,
-)
+from plr_jax.eikonal import raster_search
+from plr_jax.eikonal.raster_search import MOST_CELLS, MOST_ON_REQUEST, PathTree, Points, Raster, Slope, cells_of
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.plr._construct import construct
@@ -143,22 +132,22 @@ def cost_distance(
     # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
     lower = upper = plr = tree = None
     if rise is None:
-        parts = parts_of_cells(cost, side)
+        parts = raster_search.parts_of_cells(cost, side)
         num_cells = cost.size * int(parts.prod())
         if as_bool("bounds", bounds) and num_cells > MOST_ON_REQUEST:
             raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
         if bounds or num_cells <= MOST_CELLS:
-            (distance, nearest, *proven), tree = search_finely(cost, side, points, parts, bounds)
+            (distance, nearest, *proven), tree = raster_search.search_finely(cost, side, points, parts, bounds)
             lower, upper = proven or (None, None)
         else:
-            distance, nearest = march(cost, side, points)
+            distance, nearest = raster_search.march(cost, side, points)
     else:
         slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
         is_reversed = as_bool("from_sources", from_sources)
-        distance, _, nearest, tree = search(cost, side, points, rise, slope_fn, is_reversed)
+        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_fn, is_reversed)
     if max_bytes is not None:
         plr = construct(GridField(distance, box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
@@ -174,9 +163,8 @@ def cost_distance(
             result.attrs["_FillValue"] = -1  # files then know that -1 is no source
         return result
 
-    named = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
-    results = {name: like_costs(name, values) for name, values in named.items()}
-    return CostDistance(**results, plr=plr, _box=box, _tree=tree)
+    tables = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
+    return CostDistance(**{name: like_costs(name, tables[name]) for name in tables}, plr=plr, _box=box, _tree=tree)
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:

@@ -130,8 +130,7 @@ class VoxelGroups:
         group = tuple((voxel // size).T)
         # 2. Across each face of these voxels, either begin at the node of a group of known cost, by the straight
         #    motion from the middle of the group, or lead an edge to another voxel of unknown cost.
-        start = np.full(num, np.inf)
-        begin, end, length = [], [], []
+        start, edges = np.full(num, np.inf), []
         for axis, step in product(range(dim), (-1, 1)):
             beside = voxel + step * (np.arange(dim) == axis)
             inside = np.flatnonzero((beside[:, axis] >= 0) & (beside[:, axis] < shape[axis]))
@@ -142,14 +141,13 @@ class VoxelGroups:
             target = np.asarray(np.ravel_multi_index(tuple(beside[inside].T), self.free.shape))
             place = np.searchsorted(flat, target)
             joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == target)
-            begin.append(inside[joined])
-            end.append(place[joined])
-            length.append(side[axis] * slowness[group][inside[joined]])
+            edges.append((inside[joined], place[joined], side[axis] * slowness[group][inside[joined]]))
         # 3. Dijkstra's algorithm from one more node, `num`, which has an edge to each start.
         starts = np.flatnonzero(np.isfinite(start))
-        begin, end = np.concatenate([*begin, np.full(len(starts), num)]), np.concatenate([*end, starts])
-        weight = np.maximum(np.concatenate([*length, start[starts]]), np.finfo(float).tiny)
-        distance: Any = dijkstra(csr_array((weight, (begin, end)), (num + 1, num + 1)), indices=num)
+        edges.append((np.full(len(starts), num), starts, start[starts]))
+        begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))
+        graph = csr_array((np.maximum(length, np.finfo(float).tiny), (begin, end)), (num + 1, num + 1))
+        distance: Any = dijkstra(graph, indices=num)
         of_parts, others = np.full(cost.shape, np.inf), np.full(cost.shape, np.inf)
         in_part = np.flatnonzero(self.part[tuple(voxel.T)])
         np.minimum.at(of_parts, tuple(voxel[in_part].T // size), distance[in_part])

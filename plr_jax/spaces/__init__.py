@@ -9,7 +9,6 @@ from plr_jax.spaces._costs import cost_bounds as cost_bounds
 from plr_jax.spaces._costs import motion_rates as motion_rates
 from plr_jax.spaces._costs import point_costs as point_costs
 from plr_jax.spaces._costs import pulled as pulled
-from plr_jax.spaces._data_arrays import NO_DATA as NO_DATA
 from plr_jax.spaces._data_arrays import data_array_box as data_array_box
 from plr_jax.spaces._data_arrays import is_data_array as is_data_array
 from plr_jax.spaces._data_arrays import raster_values as raster_values

@@ -16,7 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import shorter_turn
 from plr_jax.spaces._plane import crosses_walls, near_walls, segment_distances, walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, batches
 
 _BOXES = 1 << 14  # boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
@@ -113,9 +113,7 @@ class PlanarArm:
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
-        rows = np.flatnonzero(free)
-        for begin in range(0, len(rows), _MOTIONS):
-            part = rows[begin : begin + _MOTIONS]
+        for part in batches(np.flatnonzero(free), _MOTIONS):
             free[part] = self._are_free(q0[part], shorter_turn(q0[part], q1[part]))
         return free
 
@@ -123,9 +121,8 @@ class PlanarArm:
         """Tell whether boxes of joint angles (radians) are FREE, BLOCKED or MIXED; see :class:`CellState`."""
         center, half = as_boxes(lo, hi, self.dof)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        for begin in range(0, len(center), _BOXES):
-            part = slice(begin, begin + _BOXES)
-            state[part][self._boxes_are_free(center[part], half[part])] = CellState.FREE
+        for part in batches(np.arange(len(center)), _BOXES):
+            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         rows = np.flatnonzero(state == CellState.MIXED)
         rows = rows[~self.is_free(center[rows])]
         state[rows[self._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int8
 from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
+from plr_jax.spaces._space import CellState, Configurations, MotionCost, as_boxes, as_motions, batches, precision_of
 
 _BATCH = 1 << 14  # configurations or boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
@@ -20,7 +20,6 @@ _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the la
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
-Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 
 
@@ -100,9 +99,7 @@ class ClearanceSpace:
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
-        rows = np.flatnonzero(free)
-        for begin in range(0, len(rows), _MOTIONS):
-            part = rows[begin : begin + _MOTIONS]
+        for part in batches(np.flatnonzero(free), _MOTIONS):
             free[part] = self._are_free(q0[part], self.domain.difference(q1[part], q0[part]))
         return free
 
@@ -112,9 +109,7 @@ class ClearanceSpace:
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
         state = np.where(outside.any(axis=1), CellState.BLOCKED, CellState.MIXED).astype(np.int8)
-        rows = np.flatnonzero(state == CellState.MIXED)
-        for begin in range(0, len(rows), _BATCH):
-            part = rows[begin : begin + _BATCH]
+        for part in batches(np.flatnonzero(state == CellState.MIXED), _BATCH):
             state[part] = self._classify(lo[part], hi[part])
         return state
 
@@ -175,8 +170,7 @@ class ClearanceSpace:
         """Return clearances at configurations moved into the domain; ``ValueError`` if one is not finite."""
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
-        for begin in range(0, len(q), _BATCH):
-            part = slice(begin, begin + _BATCH)
+        for part in batches(np.arange(len(q)), _BATCH):
             clearance[part] = as_values("clearance", self.clearance(q[part]), len(q[part]))
         if not np.isfinite(clearance).all():
             i = np.isfinite(clearance).argmin()

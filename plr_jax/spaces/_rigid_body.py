@@ -16,7 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body, side_offsets
 from plr_jax.spaces._plane import BodySpace, Booleans, PlaneSpace, near_walls, walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
 
 # Half turns below this are bounded by a polygon around the swept body, larger ones by its circumscribed circle.
 _WIDEST_ARC = math.pi / 3
@@ -82,8 +82,7 @@ class RigidBodySpace(BodySpace):
         # 2. Enclose what the body covers in the other boxes, batch by batch.
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
-        for begin in range(0, len(unsure), size):
-            part = unsure[begin : begin + size]
+        for part in batches(unsure, size):
             state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         # 3. The rest may be blocked.
         unsure = unsure[state[unsure] == CellState.MIXED]

@@ -1,12 +1,13 @@
 """Protocols of configuration spaces: a domain, the cost of a motion, and tests of what is free."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
 from plr_jax._arrays import as_booleans, as_finite, as_points, shortened
 from plr_jax._types import ArrayLike
@@ -155,6 +156,11 @@ class SeesBoxes(Protocol):
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return, by row, whether straight motions to ``q`` from all free configurations of a box are proven free."""
         ...
+
+
+def batches(rows: Int[np.ndarray, " n"], size: int) -> Iterator[Int[np.ndarray, " _"]]:
+    """Yield consecutive batches of at most ``size`` rows; no batch if there are no rows."""
+    return (rows[begin : begin + size] for begin in range(0, len(rows), size))
 
 
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:

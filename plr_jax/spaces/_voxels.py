@@ -47,11 +47,10 @@ class VoxelSpace:
     def __init__(self, free: ArrayLike, bounds: Box | ArrayLike | None = None, radius: float | int = 0.0):
         set_fields(self, grid=VoxelGrid.of(free, bounds), radius=as_finite("radius", radius))
         least, most = _LEAST_RADIUS * self.tolerance, self.domain.width.min() / 2
-        if 0 < self.radius < least:
-            expected = f"0 for a point, or at least {least:.2g} in {self.domain}"
-            raise ValueError(f"radius must be {expected}, got {self.radius:g}.")
-        if self.radius > most:
+        if 0 < self.radius < least or self.radius > most:
             expected = f"at most {most:g}, for the ball to fit into {self.domain}"
+            if self.radius < least:
+                expected = f"0 for a point, or at least {least:.2g} in {self.domain}"
             raise ValueError(f"radius must be {expected}, got {self.radius:g}.")
 
     def __repr__(self) -> str:
