@@ -31,7 +31,6 @@ _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has th
 _OFF = 0.1
 _NEAR = 0.01
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
-CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class MeshEstimate:
     """An estimate of the cost-to-go that is multilinear in each cell of a mesh, and ``inf`` in blocked cells."""
 
     mesh: Mesh
-    corner_values: CellCorners  # 0 in blocked cells
+    corner_values: AtCorners  # 0 in blocked cells
     reach: Reach | None  # if known: which boxes hold points that paths join to a goal, and which hold others
 
     def __call__(self, x: Points) -> Numbers:
@@ -81,7 +80,7 @@ class CostToGoField:
         return self.program.rescaling(self.values)
 
     @cached_property
-    def _lower_at_corners(self) -> CellCorners:
+    def _lower_at_corners(self) -> AtCorners:
         # The larger of two proven bounds: the rescaled solution, and the cost of a straight motion at the least rate.
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
@@ -94,7 +93,7 @@ class CostToGoField:
         return np.maximum(proven, (costs.least_rate * straight)[mesh.corners])
 
     @cached_property
-    def _upper_at_corners(self) -> CellCorners:
+    def _upper_at_corners(self) -> AtCorners:
         # Costs of paths; inf without a path, and at all corners of blocked cells.
         is_open = self.mesh.state != CellState.BLOCKED
         return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
@@ -125,8 +124,7 @@ class CostToGoField:
             assert self.guide is not None
             return self.guide.which(x)
         # 1. The best path through a corner of the point's cell.
-        at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
-        node = mesh.corners[mesh.locate(at)]
+        node = mesh.corners[mesh.locate((mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width)]
         offset = mesh.domain.difference(mesh.domain.at(mesh.nodes[node]), x[:, None])
         straight = costs.motion_cost.norm(offset.reshape(-1, mesh.dim)).reshape(node.shape)
         total = self.nodal_estimate[node] + straight * costs.least_rate
@@ -273,12 +271,11 @@ class CostToGoField:
         #      +---+-----------+---+   lo          ends[0]
         others = np.flatnonzero(~is_clear)
         ends, axes = np.stack([lo, *mesh.boxes, hi])[:, free[others]], np.arange(mesh.dim)
-        clear = np.ones(len(others), bool)
+        is_clear[others] = True
         for part in product(range(3), repeat=mesh.dim):
             begin, end = ends[part, :, axes].T, ends[np.add(part, 1), :, axes].T
             rows = np.flatnonzero((begin < end).all(axis=1))  # parts at the border of the domain may be flat
-            clear[rows] &= self.space.classify(begin[rows], end[rows]) != CellState.MIXED
-        is_clear[others] = clear
+            is_clear[others[rows]] &= self.space.classify(begin[rows], end[rows]) != CellState.MIXED
         sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
         sees[free[is_clear]] = True
         # 3. Beside walls, the space may prove it of single corners.
@@ -289,7 +286,7 @@ class CostToGoField:
         return sees
 
 
-def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> CellCorners:
+def _filled(values: AtCorners, node: Int[np.ndarray, "cells corners"]) -> AtCorners:
     """Fill in unknown values (NaN) at the corners of cells; ``node`` is the index of each corner's node.
 
     Each round has two steps: a cell offers the mean of its known corners to its unknown corners, and an unknown

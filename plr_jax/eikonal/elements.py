@@ -187,5 +187,4 @@ def _interpolation(degree: int, cell: Int[np.ndarray, " n"], t: Float[np.ndarray
     # The matrix from values at all nodes (as many as `nodes`) to values at the points `t` of cells.
     weight = basis(degree, t)
     num, size = weight.shape
-    columns = _rows_of_cells(cell, size)
-    return csr_array((weight.ravel(), (np.repeat(np.arange(num), size), columns)), (num, nodes))
+    return csr_array((weight.ravel(), (np.repeat(np.arange(num), size), _rows_of_cells(cell, size))), (num, nodes))

@@ -18,8 +18,8 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
-from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.goals import GoalIndex, Goals, Points, carried_goals, nearest_goals
+from plr_jax.eikonal.march import Costs, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.eikonal.voxel_groups import VoxelGroups
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
@@ -116,9 +116,7 @@ class GridEstimate:
         goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
             return np.zeros_like(goal)
-        nearest: Any = ndimage.distance_transform_edt(
-            goal < 0, sampling=side, return_distances=False, return_indices=True
-        )
+        nearest: Any = ndimage.distance_transform_edt(goal < 0, side, return_distances=False, return_indices=True)
         return goal[tuple(nearest)]
 
 
@@ -136,8 +134,7 @@ def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Point
     least = np.full(len(x), np.inf)
     for goal_index in range(len(goals)):
         index = np.full(len(x), goal_index)
-        change = space.domain.difference(goals[index], x)
-        least = np.minimum(least, _straight_costs(space, at_goals, index, change))
+        least = np.minimum(least, _straight_costs(space, at_goals, index, space.domain.difference(goals[index], x)))
     return least
 
 
@@ -179,7 +176,6 @@ def grid_estimate(
     # 3. The cost of straight motions from open nodes to goals near them; inf if no motion is free. First all nodes
     #    look at their nearest goal (rank 0), then at the next ones.
     flat = node.reshape(-1, dim)
-    is_open_row = is_open.ravel()
     at_nodes = factor.ravel(), None if pulls is None else pulls.reshape(2, -1, dim)
     distance, nearest = nearest_goals(goals, domain, motion_cost, flat, min(len(goals), _NEAR_GOALS))
     radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
@@ -189,10 +185,10 @@ def grid_estimate(
     for rank, goal_of_node in enumerate(nearest.T):
         rows = np.arange(len(flat))
         if rank:
-            rows = np.flatnonzero(is_open_row & (distance[:, rank] <= motion_cost.scale.max() * sight))
+            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * sight))
         to_goal = domain.difference(goals[goal_of_node[rows]], flat[rows])
         length = np.linalg.norm(to_goal, axis=1)
-        is_near = is_open_row[rows] & (length < sight)
+        is_near = is_open.ravel()[rows] & (length < sight)
         near, change = rows[is_near], to_goal[is_near]
         sees = space.are_free(flat[near], flat[near] + change)
         near, change = near[sees], change[sees]
@@ -212,7 +208,7 @@ def grid_estimate(
         known_goal.ravel()[near[is_better]] = goal[is_better]
 
     if len(goals) > _NEAR_GOALS:  # other goals may be nearer to all nodes
-        open_nodes = flat[is_open_row]
+        open_nodes = flat[is_open.ravel()]
         for goal in np.flatnonzero(~is_seen):
             change = domain.difference(goals[goal], open_nodes)
             is_near = np.linalg.norm(change, axis=1) < sight
@@ -221,10 +217,7 @@ def grid_estimate(
     # 4. The cost-to-go of all nodes, by marching from balls around goals, or by paths over a stencil.
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
-        num_open = np.count_nonzero(is_open)
-        if groups is None:
-            _close_beside_walls(space, cells, is_open, node, side)
-        has_thin_walls = groups is not None or np.count_nonzero(is_open) < num_open
+        has_thin_walls = groups is not None or _close_beside_walls(space, cells, is_open, node, side)
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
             # Paths may pass where obstacles touch, so the four nodes around a contact are open.
             boundary = space.workspace.boundary
@@ -250,9 +243,9 @@ def grid_estimate(
     #    there, or 1 if the divisor has this factor.
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
     limit = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
-    ratio = np.divide(cost, divisor, out=limit, where=divisor > 0)
-    field, unseen = GridField(ratio.T, box), np.flatnonzero(~is_seen)
-    return GridEstimate(space, goals, at_goals, field, cost, known_goal, unseen, is_open, closed_cost)
+    ratio = GridField(np.divide(cost, divisor, out=limit, where=divisor > 0).T, box)
+    unseen = np.flatnonzero(~is_seen)
+    return GridEstimate(space, goals, at_goals, ratio, cost, known_goal, unseen, is_open, closed_cost)
 
 
 def _grid(
@@ -346,8 +339,11 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
-) -> None:
-    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
+) -> bool:
+    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall.
+
+    ``is_open`` is modified in place. Return whether any node was closed.
+    """
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         # Motions between two open nodes need a test unless both cells are proven free.
@@ -365,6 +361,7 @@ def _close_beside_walls(
         is_far = space.are_free(q, q + step / 2)  # then the wall is in the second half
         closed[tuple(np.where(is_far[:, None], end, begin).T)] = True
     is_open &= ~closed
+    return bool(closed.any())
 
 
 def _stencil_paths(
@@ -382,11 +379,10 @@ def _stencil_paths(
     # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
-    mode = ["wrap" if wraps else "nearest" for wraps in domain.periodic]
-    far = [max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)] * len(shape)
+    farthest = max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)
     is_clear: Any = cells == CellState.FREE
-    for axis, reach in enumerate(far):
-        is_clear = ndimage.minimum_filter1d(is_clear, 2 * reach + 1, axis, mode=mode[axis])
+    for axis, wraps in enumerate(domain.periodic):
+        is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
     # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
     #    that pass another node. Costs take the mean rate of both ends.
     node_index = np.arange(num).reshape(shape)

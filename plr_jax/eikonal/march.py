@@ -15,13 +15,11 @@ from scipy import ndimage
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
 _NO_TIME = 1e-9  # of a step, for a node on the first front
 _NO_JUMP = 1.35  # costs of two nodes two steps apart do not jump up to this factor
-_LARGEST_CHANGE = (
-    0.02  # if costs on two grids differ by more than this share, the error does not fall as the step does
-)
+# If costs on two grids differ by more than this share, the error does not fall as the step does.
+_LARGEST_CHANGE = 0.02
 IsOpen = Bool[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
-GoalIndex = Int[np.ndarray, "*shape"]
 
 
 def balls(
@@ -29,7 +27,7 @@ def balls(
     slowness: Costs,  # cost per unit of length at each node
     at_goal: Costs,  # cost per unit of length at the goal nearest to each node
     straight: Costs,  # cost of a free straight motion from each node to a goal; inf if none is known
-    goal: GoalIndex,  # index of the goal of this motion; -1 if none is known
+    goal: Int[np.ndarray, "*shape"],  # index of the goal of this motion; -1 if none is known
     sees_nearest: IsOpen,  # whether the straight motion from each node to its nearest goal is free
     lengths: Costs,  # distance from each node to its nearest goal
     radius: float,  # of the balls around goals

@@ -15,7 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import spread
 from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
-from plr_jax.spaces import CellState, ConfigurationSpace, as_states
+from plr_jax.spaces._space import CellState, ConfigurationSpace, as_states
 
 _MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis
 _NO_BIT = 62  # a bit that is 0 in every slot: descents stop at leaves

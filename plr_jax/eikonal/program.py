@@ -395,9 +395,7 @@ class _Splitting:
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
         self._program = program
         radius, flow, inflow = program.sets.radius, start.flow, start.inflow
-        self._load = program.weight
-        if len(inflow) == 1:
-            self._load = self._load - program.weight.sum() * program.goal
+        self._load = program.weight - program.weight.sum() * program.goal if len(inflow) == 1 else program.weight
         # 1. The least cost across a goal's cell is to values at goals what the radius of a set is to slopes.
         lower = program.costs.lower[program.goal_cells]
         across = lower * program.costs.motion_cost.norm(program.space.mesh.widths[program.goal_cells])
@@ -418,8 +416,7 @@ class _Splitting:
         self.u = start.values
         self._y = start.flow / self._penalty
         self._z = program.sets.project(program.gradients(start.values))
-        self._y_goals = inflow / stiffness
-        self._z_goals = np.minimum(program.goal @ self.u, 0.0)
+        self._y_goals, self._z_goals = inflow / stiffness, np.minimum(program.goal @ self.u, 0.0)
 
     @property
     def iterate(self) -> Iterate:
@@ -445,8 +442,9 @@ class _Poisson:
         #   (G' V G + goal' stiffness goal) u = load + G' V field + goal' stiffness at_goals.
         # All flow enters a single goal, so there are no terms of goals. The solution is then unique up to a constant,
         # and the first unknown is fixed to 0.
-        weights = np.tile(penalty * program.volume, program.dim)
-        self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
+        self.divergence = csr_array(
+            (diags_array(np.tile(penalty * program.volume, program.dim)) @ program.gradient).T
+        )
         matrix = self.divergence @ program.gradient
         self.stiffness = stiffness
         self._num_fixed = int(len(stiffness) == 1)
@@ -463,9 +461,8 @@ class _Poisson:
         else:
             from pyamg import smoothed_aggregation_solver  # its import takes 0.1 s, and few programs are so large
 
-            self._multigrid = smoothed_aggregation_solver(
-                self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
-            ).aspreconditioner()
+            multigrid = smoothed_aggregation_solver(self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None)
+            self._multigrid = multigrid.aspreconditioner()
 
     def solve(self, load: Dofs, field: Vectors, at_goals: Float[np.ndarray, " goals"], guess: Dofs) -> Dofs:
         # `guess` is a solution to start from, for conjugate gradients.

@@ -42,9 +42,8 @@ Nearest = Int[np.ndarray, "rows columns"]
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
-AtOffset = Callable[
-    [tuple[int, int]], np.ndarray
-]  # values of the cells at an offset, in rows and columns, from others
+# Values of the cells that lie at an offset, in rows and columns, from other cells.
+AtOffset = Callable[[tuple[int, int]], np.ndarray]
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
@@ -275,8 +274,7 @@ def search(
     node = np.arange(corners + rows * columns)
     nodes = node[:corners].reshape(corner_shape), node[corners:].reshape(rows, columns)
     # 3. Straight motions from sources to nodes in and beside their cells. With heights, sources are moved to centers.
-    near = np.zeros((1, 2), int)
-    straight = np.zeros((len(points), 1))
+    near, straight = np.zeros((1, 2), int), np.zeros((len(points), 1))
     if height is None:
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
         straight = _straight_costs(cost, side, points, home, near)

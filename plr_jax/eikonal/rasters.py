@@ -14,7 +14,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
-from plr_jax.spaces import data_array_box, is_data_array, raster_values
+from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
 
 _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 

@@ -130,10 +130,9 @@ def solve_eikonal(
         if limit is not None:
             require_integer(name, limit, 1)
     if not as_bool("certified", certified) and (space.domain.dim > MOST_AXES or tolerance is not None):
+        expected = f"up to {MOST_AXES} axes, without a tolerance"
         got = f"{space.domain.dim} axes" + ("" if tolerance is None else f" and tolerance={tolerance}")
-        raise ValueError(
-            f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
-        )
+        raise ValueError(f"certified=False is for {expected}, got {got}: leave it out.")
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
     # 2. Check the goals: `goals` as rows, `at` as fractions of the domain.
     domain = space.domain
@@ -176,11 +175,9 @@ def solve_eikonal(
         straight = straight_bound(domain, space.motion_cost, least_rate, at, max_bytes or math.inf)
         # Before the bound, the file has a float that says that nothing else is proven.
         spare = 0 if straight is None else straight.num_bytes + 4
-        most_bytes = None if max_bytes is None else max(int(max_bytes) - spare, 1)
+        budget = None if max_bytes is None else max(int(max_bytes) - spare, 1)
         try:
-            plr = construct(
-                guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=most_bytes, seed=seed, options=options
-            )
+            plr = construct(guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=budget, seed=seed, options=options)
         except BudgetTooSmall as error:
             assert max_bytes is not None
             raise BudgetTooSmall(max_bytes, error.num_bytes + spare) from None
@@ -196,9 +193,8 @@ def solve_eikonal(
         _require_costs(float(estimate.corner_values.max()))
         # 4b. The cells are the leaves of the PLR if they fit into the file, else it has fewer leaves.
         most_bytes = math.inf if max_bytes is None else float(max_bytes)
-        on_mesh = None
-        if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes:
-            on_mesh = plr_on_mesh(estimate, proven, most_bytes)
+        may_fit = len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes
+        on_mesh = plr_on_mesh(estimate, proven, most_bytes) if may_fit else None
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         nearest_goal = field.which
         warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
@@ -242,10 +238,9 @@ def _require_costs(largest: float) -> None:
 
 
 def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -> Reach:
-    domain = reached.domain
-
+    # Whether boxes, in fractions of the domain, may hold free configurations of a space.
     def meets(space: ConfigurationSpace, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        return space.classify(*(domain.at(np.clip(end, 0.0, 1.0)) for end in (lo, hi))) != CellState.BLOCKED
+        return space.classify(*(space.domain.at(np.clip(end, 0.0, 1.0)) for end in (lo, hi))) != CellState.BLOCKED
 
     is_reached, is_cut_off = partial(meets, reached), partial(meets, cut_off)
     return Reach(is_reached, is_cut_off, is_cut_off)  # all cut-off points count as far from points that reach a goal

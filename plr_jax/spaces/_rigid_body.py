@@ -23,7 +23,6 @@ _WIDEST_ARC = math.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
-Turns: TypeAlias = Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, " n"]:
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
-def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
+def _placed(points: Points, q: Boxes, turn: Float[np.ndarray, " n"] | float = 0.0) -> Float[np.ndarray, "n k 2"]:
     """Return the positions of a body's points at configurations ``q``, with headings increased by ``turn``."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]

@@ -158,17 +158,16 @@ class VoxelSpace:
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:
             return np.zeros(len(q), bool)
-        x = q.T
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
         # 1. The free voxels that the box touches fill a box: their range has no blocked voxel.
         first, last = self.grid.free_range(self.grid.numbers(lo)[0], self.grid.numbers(hi)[1])
         sees = np.all(first <= last, axis=0) & (self.grid.num_blocked(first, last) == 0)
         # 2. The point lies in that range and in the given box: voxel k has the faces number k and k + 1.
         for axis, faces in enumerate(self.grid.faces):
-            sees &= np.maximum(lo[axis], faces[first[axis]]) <= x[axis]
-            sees &= x[axis] <= np.minimum(hi[axis], faces[last[axis] + 1])
+            sees &= np.maximum(lo[axis], faces[first[axis]]) <= q[:, axis]
+            sees &= q[:, axis] <= np.minimum(hi[axis], faces[last[axis] + 1])
         # 3. It does not lie on a contact.
         rows = np.flatnonzero(sees & np.isfinite(q).all(axis=1))
         sees[:] = False
-        sees[rows] = ~self.grid.touches_contact(x[:, rows], x[:, rows])
+        sees[rows] = ~self.grid.touches_contact(q[rows].T, q[rows].T)
         return sees
