@@ -385,8 +385,7 @@ def _stencil_paths(
         is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
     # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
     #    that pass another node. Costs take the mean rate of both ends.
-    node_index = np.arange(num).reshape(shape)
-    begin, end, cost = [], [], []
+    node_index, edges = np.arange(num).reshape(shape), []
     for axes, _ in motion_cost.blocks:
         reach = _REACH[len(axes)]
         for offset in product(range(-reach, reach + 1), repeat=len(axes)):
@@ -408,18 +407,17 @@ def _stencil_paths(
             a, b, change = (tuple(rows[is_free] for rows in a), tuple(rows[is_free] for rows in b), change[is_free])
             for tail, head, vector in ((a, b, change), (b, a, -change)):
                 mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
-                begin.append(node_index[tail])
-                end.append(node_index[head])
-                cost.append((factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector))
+                cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
+                edges.append((node_index[tail], node_index[head], cost))
     # 3. Edges from nodes to goals; goal k has the index num + k.
     near = np.flatnonzero(np.isfinite(straight).ravel())
     last = num + goal.ravel()[near]
     goals = np.unique(np.append(last, num))
     size = int(goals[-1]) + 1
-    begin, end = np.concatenate([*begin, near]), np.concatenate([*end, last])
-    weight = np.maximum(np.concatenate([*cost, straight.ravel()[near]]), np.finfo(float).tiny)
+    edges.append((near, last, straight.ravel()[near]))
+    begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
     # 4. Dijkstra's algorithm from all goals, along edges in reverse: rows of the graph are the ends of edges.
-    graph = csr_array((weight, (end, begin)), shape=(size, size))
+    graph = csr_array((np.maximum(cost, np.finfo(float).tiny), (end, begin)), shape=(size, size))
     result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
     to_goals, _, source = (rows[:num].reshape(shape) for rows in result)
     return to_goals, np.where(np.isfinite(to_goals), source - num, -1)

@@ -270,8 +270,8 @@ class SlopeProgram:
         num_controls = len(functions.lattice)
         volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
         at_goals = functions.interpolation(homes, mesh.local(homes, goals))
-        costs = cell_costs(space, cost_map, mesh)
         goal = at_goals.toarray()[0] if len(goals) == 1 else at_goals
+        costs = cell_costs(space, cost_map, mesh)
         return cls(functions, gradient, costs, volume, functions.basis_integrals(), goal, goals)
 
     @property

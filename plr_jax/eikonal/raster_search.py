@@ -315,8 +315,8 @@ def search(
         a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
         contacts = nodes[0][(a == d) & (b == c) & (a != b)]
         weight[contacts] = np.inf
-    # 5. Shortest paths from all sources at once; an infinite weight is no edge. Each node has an edge for each step,
-    #    and each source an edge to each place in `near`.
+    # 5. Shortest paths outward from all sources at once; an infinite weight is no edge. Each node has an edge for
+    #    each step, and each source an edge to each place in `near`.
     begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
     sources = len(node) + np.arange(len(points))

@@ -391,8 +391,7 @@ class SlopeSolver:
         """
         # The motion passes the middle of the cell along the gradient of the lower bound, from side to side.
         mesh = self.mesh
-        mixed = np.flatnonzero(mesh.state == CellState.MIXED)
-        new = mixed[self._through[mixed] == CellState.MIXED]
+        new = np.flatnonzero((mesh.state == CellState.MIXED) & (self._through == CellState.MIXED))
         slope = np.zeros((len(mesh.state), mesh.dim))
         slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
         lo, hi = (corner[new] for corner in mesh.boxes)
