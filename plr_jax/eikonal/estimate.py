@@ -384,7 +384,8 @@ def _stencil_paths(
     for axis, wraps in enumerate(domain.periodic):
         is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
     # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
-    #    that pass another node. Costs take the mean rate of both ends.
+    #    that pass another node. `a` and `b` are the indices, along each axis, of both ends of edges. Costs take the
+    #    mean rate of both ends.
     node_index, edges = np.arange(num).reshape(shape), []
     for axes, _ in motion_cost.blocks:
         reach = _REACH[len(axes)]
@@ -409,7 +410,7 @@ def _stencil_paths(
                 mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
                 cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
                 edges.append((node_index[tail], node_index[head], cost))
-    # 3. Edges from nodes to goals; goal k has the index num + k.
+    # 3. Edges from nodes to goals; goal k has the index num + k. Without such an edge, goal 0 has no edges.
     near = np.flatnonzero(np.isfinite(straight).ravel())
     last = num + goal.ravel()[near]
     goals = np.unique(np.append(last, num))
