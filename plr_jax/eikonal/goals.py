@@ -56,7 +56,7 @@ def carried_goals(
     ``side`` the grid step along each axis.
     """
     # 1. Nodes by ascending cost: `rank` is a node's place in this order. A path divides among the cheapest neighbors
-    #    along each axis, by weights: the fall of the cost over the squared step. These go to smaller ranks only.
+    #    along each axis, by weights: the fall of the cost over the squared step. So it leads to smaller ranks.
     open_nodes = np.flatnonzero(np.isfinite(cost))
     order = open_nodes[np.argsort(cost.ravel()[open_nodes], kind="stable")]
     rank = np.full(cost.size, -1)

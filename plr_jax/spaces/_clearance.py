@@ -135,8 +135,7 @@ class ClearanceSpace:
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, " n"]:
         # Bisect motions. An interval of a motion, [begin, begin + width] in shares of the motion, has the clearances
-        # `before` and `after` at its ends. If the clearance can change by r in it, then at the share t of the
-        # interval
+        # `before` and `after` at its ends. If the clearance can change by r in it, then at its share t
         #   clearance >= max(before - t * r, after - (1 - t) * r) >= (before + after - r) / 2.
         # Intervals are halved until this bound proves them free. A motion is not proven free if a middle has less
         # than the least clearance, or intervals are left after the last bisection.

@@ -174,9 +174,8 @@ def cost_bounds(
     least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
     expected = "Bounds of a DirectionalCost's pulls must be finite with least nowhere above most"
     _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
-    # 3. Use them if they are tight enough. The pulls a and b save at most this cost per unit of length: the distance
-    #    of
-    #    0 from the segment between them, whose nearest point is a + t * (b - a), with t = -a . (b - a) / |b - a|**2
+    # 3. Use them if they are tight enough. Pulls a and b save at most this cost per unit of length: the distance of 0
+    #    from the segment between them, whose nearest point is a + t * (b - a), with t = -a . (b - a) / |b - a|**2
     #    clipped to [0, 1].
     change = second - first
     square = np.sum(change * change, axis=1)

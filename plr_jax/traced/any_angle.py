@@ -28,9 +28,8 @@ Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
-# If a grid has at most so many inner cell corners, each of them counts as a possible convex corner, and tables of
-# crossed cells serve for sight tests. In larger grids, convex corners are listed: by default up to half of all
-# corners.
+# If a grid has at most so many inner cell corners, each of them counts as a possible convex corner, and sight tests
+# use tables of crossed cells. In larger grids, convex corners are listed: by default up to half of all corners.
 MAX_LATTICE = 2**8
 
 
