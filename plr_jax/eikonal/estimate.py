@@ -18,34 +18,25 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
-from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.goals import GoalIndex, Goals, Points, carried_goals, nearest_goals
+from plr_jax.eikonal.march import Costs, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.eikonal.voxel_groups import VoxelGroups
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
-from plr_jax.spaces import (
-    CellState,
-    ConfigurationSpace,
-    CostMap,
-    DirectionalCost,
-    PlaneSpace,
-    RasterCost,
-    VoxelSpace,
-    motion_rates,
-    point_costs,
-    pulled,
-)
+from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace
+from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_rates, point_costs, pulled
 
 MOST_AXES = 3
-# Default numbers of nodes by the number of axes: at centers of given cells, elsewhere, and for paths over a stencil.
-_CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
-_STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
+# Default numbers of nodes by the number of axes.
+_CELL_NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}  # at centers of given cells
+_NODES = {1: 4_000, 2: 160_000, 3: 200_000}  # elsewhere
+_STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}  # for paths over a stencil
 _NODES_A_LEAF = 16  # least number of nodes for each leaf
-# Most nodes: of a grid, each of which takes about 200 bytes of memory and 3 microseconds, of a grid for paths over a
-# stencil, and of groups of voxels, which lose little beside walls.
-_MOST_NODES, _MOST_STENCIL_NODES, _MOST_GROUPS = 1 << 24, 1 << 21, 1 << 22
+_MOST_NODES = 1 << 24  # of a grid; each node takes about 200 bytes of memory and 3 microseconds
+_MOST_STENCIL_NODES = 1 << 21  # of a grid for paths over a stencil
+_MOST_GROUPS = 1 << 22  # of voxels, which lose little beside walls
 _ROUND = 1e-9  # relative rounding error of a number of steps
 _REACH = {1: 1, 2: 3, 3: 2}  # steps of stencil edges along an axis, by the number of axes that share a norm
 _BLOCK = 8  # cells along each axis of the blocks that are classified first
@@ -74,9 +65,12 @@ class GridEstimate:
     closed_cost: Costs | None = None  # the cost-to-go beside each closed node, if nodes are groups of voxels
 
     def __call__(self, x: Points) -> Float[np.ndarray, " n"]:
+        # 1. Interpolate the ratio, which has no kink at goals.
         ratio, is_open = self.ratio.interpolated(x)
         divisor = _divisors(self.space, self.goals, self.at_goals, x)
         cost = np.multiply(ratio, divisor, out=np.zeros(len(x)), where=divisor != 0)  # not inf * 0 at a goal
+        # 2. Points whose node is closed: a group of voxels knows the cost beside its node. Other points keep the cost
+        #    of nodes around them if they are free.
         if self.closed_cost is not None:
             closed = np.flatnonzero(~is_open)
             closed_cost = self.closed_cost[self._nodes(x[closed])]
@@ -86,6 +80,7 @@ class GridEstimate:
         return cost
 
     def _nodes(self, x: Points) -> tuple[Int[np.ndarray, " n"], ...]:
+        # The indices, along each axis, of the grid cell (and so the node) of each point.
         box, shape = self.ratio.bounds, np.array(self.cost.shape)
         place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
         return tuple(np.clip(place, 0, shape - 1).T)
@@ -101,7 +96,7 @@ class GridEstimate:
     def which(self, x: Points) -> Int[np.ndarray, " n"]:
         """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
         goal = self.node_goal[self._nodes(x)]
-        # A grid step from a goal, it is the goal in sight.
+        # Less than a grid step from the nearest goal, that goal counts if the straight motion there is free.
         distance, nearest = nearest_goals(self.goals, self.space.domain, self.space.motion_cost, x)
         step = float(np.linalg.norm(self.space.motion_cost.scale * self.ratio.bounds.width / self.cost.shape))
         close = np.flatnonzero(distance[:, 0] < step)
@@ -121,9 +116,7 @@ class GridEstimate:
         goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
             return np.zeros_like(goal)
-        nearest: Any = ndimage.distance_transform_edt(
-            goal < 0, sampling=side, return_distances=False, return_indices=True
-        )
+        nearest: Any = ndimage.distance_transform_edt(goal < 0, side, return_distances=False, return_indices=True)
         return goal[tuple(nearest)]
 
 
@@ -141,13 +134,13 @@ def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Point
     least = np.full(len(x), np.inf)
     for goal_index in range(len(goals)):
         index = np.full(len(x), goal_index)
-        change = space.domain.difference(goals[index], x)
-        least = np.minimum(least, _straight_costs(space, at_goals, index, change))
+        least = np.minimum(least, _straight_costs(space, at_goals, index, space.domain.difference(goals[index], x)))
     return least
 
 
 def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> bool:
-    # Distances to several goals take less time than costs.
+    # Whether the divisor is the distance to the nearest of several goals, without the factor of the cost at the goal:
+    # this takes less time than costs.
     return len(goals) > 1 and len(space.motion_cost.blocks) == 1 and at_goals[1] is None
 
 
@@ -155,6 +148,7 @@ def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:  # goals must differ
     """Estimate the cost-to-go on a grid of at least 16 nodes for each of the ``num_leaves`` pieces of a later PLR."""
+    # 1. The nodes: centers of grid cells, or of voxels that stand for groups of voxels.
     domain, motion_cost, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion_cost.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
     box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
@@ -162,12 +156,13 @@ def grid_estimate(
     groups = closed_cost = None
     if is_isotropic and isinstance(space, VoxelSpace) and space.radius == 0 and shape < space.free.shape:
         groups = VoxelGroups.of(space.free, domain, box, shape, goals)
-        node, is_open, is_clear, cells = groups.middles, groups.is_open, groups.has_part, np.zeros(shape, np.int8)
+        node, is_open, is_clear = groups.middles, groups.is_open, groups.has_part
+        cells = np.zeros(shape, np.int8)  # BLOCKED; groups need no states of cells
     else:
         node = box.at((np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape)
         cells, is_open, is_clear = _open_nodes(space, box, shape)
 
-    # 1. The costs of motions at free nodes and at the goals.
+    # 2. The costs of motions at free nodes and at the goals.
     factor, pulls = np.ones(shape), None
     at_goals: Rates = np.ones(len(goals)), None
     if cost_map is not None:
@@ -178,51 +173,51 @@ def grid_estimate(
             pulls = np.zeros((2, *shape, dim))
             pulls[:, is_free] = pulls_of_free
 
-    # 2. The cost of straight motions from open nodes to goals near them; inf if no motion is free.
+    # 3. The cost of straight motions from open nodes to goals near them; inf if no motion is free. First all nodes
+    #    look at their nearest goal (rank 0), then at the next ones.
     flat = node.reshape(-1, dim)
     at_nodes = factor.ravel(), None if pulls is None else pulls.reshape(2, -1, dim)
     distance, nearest = nearest_goals(goals, domain, motion_cost, flat, min(len(goals), _NEAR_GOALS))
     radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
-    reach = radius + 2 * np.linalg.norm(side)
+    sight = radius + 2 * np.linalg.norm(side)  # largest length of such motions
     straight, known_goal = np.full(shape, np.inf), np.full(shape, -1)
     lengths, sees_nearest, is_seen = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(len(goals), bool)
-    for rank, index in enumerate(nearest.T):
+    for rank, goal_of_node in enumerate(nearest.T):
         rows = np.arange(len(flat))
         if rank:
-            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * reach))
-        to_goal = domain.difference(goals[index[rows]], flat[rows])
+            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * sight))
+        to_goal = domain.difference(goals[goal_of_node[rows]], flat[rows])
         length = np.linalg.norm(to_goal, axis=1)
-        if rank == 0:
-            lengths = length.reshape(shape)
-        some = np.flatnonzero(is_open.ravel()[rows] & (length < reach))
-        near, change = rows[some], to_goal[some]
+        is_near = is_open.ravel()[rows] & (length < sight)
+        near, change = rows[is_near], to_goal[is_near]
         sees = space.are_free(flat[near], flat[near] + change)
         near, change = near[sees], change[sees]
         if rank == 0:
+            lengths = length.reshape(shape)
             sees_nearest.ravel()[near] = True
-        goal = index[near]
+        goal = goal_of_node[near]
         is_seen[goal] = True
+        # The rate of costs is the mean of the rates at both ends, with a cost map also at the middle (Simpson's
+        # rule).
         costs = _straight_costs(space, at_nodes, near, change) + _straight_costs(space, at_goals, goal, change)
         costs = costs / 2
-        if cost_map is not None:  # by Simpson's rule
+        if cost_map is not None:
             costs = (costs + 2 * motion_rates(motion_cost, cost_map, flat[near] + change / 2, change)) / 3
-        better = costs < straight.ravel()[near]
-        straight.ravel()[near[better]], known_goal.ravel()[near[better]] = costs[better], goal[better]
+        is_better = costs < straight.ravel()[near]
+        straight.ravel()[near[is_better]] = costs[is_better]
+        known_goal.ravel()[near[is_better]] = goal[is_better]
 
     if len(goals) > _NEAR_GOALS:  # other goals may be nearer to all nodes
-        open_ = flat[is_open.ravel()]
+        open_nodes = flat[is_open.ravel()]
         for goal in np.flatnonzero(~is_seen):
-            change = domain.difference(goals[goal], open_)
-            close = np.linalg.norm(change, axis=1) < reach
-            is_seen[goal] = space.are_free(open_[close], open_[close] + change[close]).any()
+            change = domain.difference(goals[goal], open_nodes)
+            is_near = np.linalg.norm(change, axis=1) < sight
+            is_seen[goal] = space.are_free(open_nodes[is_near], open_nodes[is_near] + change[is_near]).any()
 
-    # 3. The cost-to-go of all nodes.
+    # 4. The cost-to-go of all nodes, by marching from balls around goals, or by paths over a stencil.
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
-        num_open = np.count_nonzero(is_open)
-        if groups is None:
-            _close_beside_walls(space, cells, is_open, node, side)
-        has_thin_walls = groups is not None or np.count_nonzero(is_open) < num_open
+        has_thin_walls = groups is not None or _close_beside_walls(space, cells, is_open, node, side)
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
             # Paths may pass where obstacles touch, so the four nodes around a contact are open.
             boundary = space.workspace.boundary
@@ -243,11 +238,14 @@ def grid_estimate(
             cost, closed_cost = groups.completed(cost, slowness)
     else:
         cost, known_goal = _stencil_paths(space, cells, is_open, node, (factor, pulls), straight, known_goal, side)
+
+    # 5. The ratio of costs to their divisor. At a goal, where both are 0, it is the limit: the factor of the cost
+    #    there, or 1 if the divisor has this factor.
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
-    at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
-    ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
-    field, unseen = GridField(ratio.T, box), np.flatnonzero(~is_seen)
-    return GridEstimate(space, goals, at_goals, field, cost, known_goal, unseen, is_open, closed_cost)
+    limit = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
+    ratio = GridField(np.divide(cost, divisor, out=limit, where=divisor > 0).T, box)
+    unseen = np.flatnonzero(~is_seen)
+    return GridEstimate(space, goals, at_goals, ratio, cost, known_goal, unseen, is_open, closed_cost)
 
 
 def _grid(
@@ -259,8 +257,9 @@ def _grid(
     of grid cells along each axis, or if these are too many, joined to groups of an odd number. Else the outermost
     nodes lie on the domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
     """
-    domain, most = space.domain, _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES
-    # 1. The centers of given cells, or of groups of these.
+    domain = space.domain
+    most = _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES
+    # 1. The number of given cells along each axis, if nodes are at centers of cells, and the number of nodes.
     cells = None
     if isinstance(space, VoxelSpace):
         cells = np.array(space.free.shape)
@@ -273,6 +272,7 @@ def _grid(
         cells = np.array(cost_map.values.shape[::-1]) if cost_map.domain == domain and not is_smooth else None
     usual = _STENCIL_NODES if not is_isotropic else _NODES if cells is None else _CELL_NODES
     num_nodes = min(max(num_nodes, usual[domain.dim]), most)
+    # 2. The centers of given cells, of their parts, or of groups of `size` cells along each axis.
     if cells is not None:
         size = 1
         while np.prod(-(-cells // size), dtype=float) > most:
@@ -285,7 +285,7 @@ def _grid(
         side = domain.width / cells
         lo = domain.lo - (shape * size - cells) // 2 * side
         return Box(lo, lo + shape * size * side), tuple(shape.tolist())
-    # 2. Equal steps, a round decimal if that fits.
+    # 3. Else equal steps, a round decimal if that fits.
     width = domain.width * space.motion_cost.scale
     step = (width.prod() / num_nodes) ** (1 / domain.dim)
     decimal = 10.0 ** np.floor(np.log10(step)) * np.array([1.0, 2.0, 2.5, 5.0, 10.0])
@@ -308,7 +308,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
         ends = (box.at(end / np.array(shape)) for end in (lo, hi))
         return space.classify(*(np.where(domain.periodic, end, np.clip(end, domain.lo, domain.hi)) for end in ends))
 
-    # 1. Classify blocks of cells, then the cells of mixed blocks.
+    # 1. Classify blocks of cells, and give their states to their cells. Then classify the cells of mixed blocks.
     blocks = np.moveaxis(np.indices([-(-n // _BLOCK) for n in shape]), 0, -1)
     lo, hi = (np.minimum((blocks.reshape(-1, len(shape)) + end) * _BLOCK, shape) for end in (0, 1))
     state = classified(lo, hi).reshape(blocks.shape[:-1])
@@ -321,7 +321,8 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     mixed = np.argwhere(state == CellState.MIXED)
     is_open[tuple(mixed.T)] = classified(mixed + 0.5 - _CLEAR, mixed + 0.5 + _CLEAR) == CellState.FREE
     is_clear = is_open.copy()
-    # 3. A node on a wall is open if all free corners of that box reach one another. At a contact they do not.
+    # 3. A node on a wall is open if all free corners of that box reach one another along its sides. At a contact they
+    #    do not. `joined[k, i, j]` says whether such a path leads from corner i to corner j of box k.
     wall = mixed[~is_open[tuple(mixed.T)]]
     corners = np.array(list(product((-1, 1), repeat=len(shape))))
     q = box.at((wall[:, None] + 0.5 + _CLEAR * corners) / shape)
@@ -338,24 +339,29 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
-) -> None:
-    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
+) -> bool:
+    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall.
+
+    ``is_open`` is modified in place. Return whether any node was closed.
+    """
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
-        other = np.roll(is_open, -1, axis)
-        mixed = is_open & other & ~((cells == CellState.FREE) & (np.roll(cells, -1, axis) == CellState.FREE))
+        # Motions between two open nodes need a test unless both cells are proven free.
+        is_free = cells == CellState.FREE
+        is_tested = is_open & np.roll(is_open, -1, axis) & ~(is_free & np.roll(is_free, -1, axis))
         if not wraps:
-            mixed[(slice(None),) * axis + (-1,)] = False
-        begin = np.argwhere(mixed)
-        end, step = begin.copy(), np.zeros(len(side))
-        end[:, axis] = (end[:, axis] + 1) % is_open.shape[axis]
-        step[axis] = side[axis]
+            is_tested[(slice(None),) * axis + (-1,)] = False
+        unit = np.arange(len(side)) == axis
+        begin = np.argwhere(is_tested)
+        end = (begin + unit) % is_open.shape
+        step = side * unit
         q = node[tuple(begin.T)]
-        walled = ~space.are_free(q, q + step)
-        begin, end, q = begin[walled], end[walled], q[walled]
-        is_far = space.are_free(q, q + step / 2)
+        is_walled = ~space.are_free(q, q + step)
+        begin, end, q = begin[is_walled], end[is_walled], q[is_walled]
+        is_far = space.are_free(q, q + step / 2)  # then the wall is in the second half
         closed[tuple(np.where(is_far[:, None], end, begin).T)] = True
     is_open &= ~closed
+    return bool(closed.any())
 
 
 def _stencil_paths(
@@ -368,16 +374,19 @@ def _stencil_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    # Edges are a few steps long, and change the coordinates of one group of axes.
+    """Return costs of shortest paths from nodes to goals, and the goals' indices; -1 without a path."""
+    # Edges are a few steps long, and change the coordinates of one group of axes, such as those of the position.
+    # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
-    # Edges from nodes whose whole stencil is free need no test.
-    mode = ["wrap" if wraps else "nearest" for wraps in domain.periodic]
-    far = [max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)] * len(shape)
+    farthest = max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)
     is_clear: Any = cells == CellState.FREE
-    for axis, reach in enumerate(far):
-        is_clear = ndimage.minimum_filter1d(is_clear, 2 * reach + 1, axis, mode=mode[axis])
-    node_index, begin, end, cost = np.arange(num).reshape(shape), [], [], []
+    for axis, wraps in enumerate(domain.periodic):
+        is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
+    # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
+    #    that pass another node. `a` and `b` are the indices, along each axis, of both ends of edges. Costs take the
+    #    mean rate of both ends.
+    node_index, edges = np.arange(num).reshape(shape), []
     for axes, _ in motion_cost.blocks:
         reach = _REACH[len(axes)]
         for offset in product(range(-reach, reach + 1), repeat=len(axes)):
@@ -387,8 +396,8 @@ def _stencil_paths(
             step[list(axes)] = offset
             a = np.argwhere(is_open)
             b = a + step
-            inside = (((b >= 0) & (b < shape)) | np.array(domain.periodic)).all(axis=1)
-            a, b = a[inside], b[inside] % shape
+            is_inside = (((b >= 0) & (b < shape)) | np.array(domain.periodic)).all(axis=1)
+            a, b = a[is_inside], b[is_inside] % shape
             is_edge = is_open[tuple(b.T)]
             a, b = tuple(a[is_edge].T), tuple(b[is_edge].T)
             change = np.broadcast_to(step * side, (len(a[0]), len(shape)))
@@ -399,16 +408,17 @@ def _stencil_paths(
             a, b, change = (tuple(rows[is_free] for rows in a), tuple(rows[is_free] for rows in b), change[is_free])
             for tail, head, vector in ((a, b, change), (b, a, -change)):
                 mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
-                begin.append(node_index[tail])
-                end.append(node_index[head])
-                cost.append((factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector))
+                cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
+                edges.append((node_index[tail], node_index[head], cost))
+    # 3. Edges from nodes to goals; goal k has the index num + k. Without such an edge, goal 0 has no edges.
     near = np.flatnonzero(np.isfinite(straight).ravel())
     last = num + goal.ravel()[near]
     goals = np.unique(np.append(last, num))
     size = int(goals[-1]) + 1
-    begin, end = np.concatenate([*begin, near]), np.concatenate([*end, last])
-    weight = np.maximum(np.concatenate([*cost, straight.ravel()[near]]), np.finfo(float).tiny)
-    graph = csr_array((weight, (end, begin)), shape=(size, size))
+    edges.append((near, last, straight.ravel()[near]))
+    begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
+    # 4. Dijkstra's algorithm from all goals, along edges in reverse: rows of the graph are the ends of edges.
+    graph = csr_array((np.maximum(cost, np.finfo(float).tiny), (end, begin)), shape=(size, size))
     result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
     to_goals, _, source = (rows[:num].reshape(shape) for rows in result)
     return to_goals, np.where(np.isfinite(to_goals), source - num, -1)

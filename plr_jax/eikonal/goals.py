@@ -28,9 +28,10 @@ def nearest_goals(
     """
     scale = motion_cost.scale
     if len(goals) == 1:
-        distance, index = np.full((len(x), count), np.inf), np.ones((len(x), count), np.int64)
-        distance[:, 0], index[:, 0] = np.linalg.norm(scale * domain.difference(goals[0], x), axis=1), 0
-        return distance, index
+        is_goal = np.arange(count) == 0
+        distance = np.linalg.norm(scale * domain.difference(goals[0], x), axis=1)[:, None]
+        return np.where(is_goal, distance, np.inf), np.where(is_goal, 0, np.ones((len(x), 1), np.int64))
+    # The tree takes coordinates from 0 up to the period, exclusive; a period of 0 says that an axis is not periodic.
     period = np.where(domain.periodic, domain.width * scale, 0.0)
 
     def placed(points: Points) -> Points:
@@ -54,34 +55,38 @@ def carried_goals(
     ``cost`` is the cost-to-go of each node, ``known_goal`` the goal's index where it is known and else -1, and
     ``side`` the grid step along each axis.
     """
-    # 1. A path divides among the cheapest neighbors along the axes: by the fall of the cost over the squared step.
-    open_ = np.flatnonzero(np.isfinite(cost))
-    order = open_[np.argsort(cost.ravel()[open_], kind="stable")]
-    place = np.full(cost.size, -1)
-    place[order] = np.arange(len(order))
-    cheapest, weights = [], []
+    # 1. Nodes by ascending cost: `rank` is a node's place in this order. A path divides among the cheapest neighbors
+    #    along each axis, by weights: the fall of the cost over the squared step. So it leads to smaller ranks.
+    open_nodes = np.flatnonzero(np.isfinite(cost))
+    order = open_nodes[np.argsort(cost.ravel()[open_nodes], kind="stable")]
+    rank = np.full(cost.size, -1)
+    rank[order] = np.arange(len(order))
+    known_goal = known_goal.ravel()[order]
+    neighbor, weights = [], []
     for axis, wraps in enumerate(periodic):
         sides = []
         for step in (1, -1):
             beside = np.roll(cost, step, axis)
             if not wraps:
                 beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.inf
-            sides.append((beside.ravel(), np.roll(place.reshape(cost.shape), step, axis).ravel()))
-        (before, of_before), (after, of_after) = sides
+            sides.append((beside.ravel(), np.roll(rank.reshape(cost.shape), step, axis).ravel()))
+        (before, rank_before), (after, rank_after) = sides
         least = np.minimum(before, after)[order]
         fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
-        cheapest.append(np.where(before <= after, of_before, of_after)[order])
-        weights.append(np.where(known_goal.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
-    weights, neighbor = np.stack(weights), np.stack(cheapest)
+        neighbor.append(np.where(before <= after, rank_before, rank_after)[order])
+        weights.append(np.where(known_goal < 0, fall / side[axis] ** 2, 0.0))
+    weights, neighbor = np.stack(weights), np.stack(neighbor)
     total = weights.sum(axis=0)
     weights = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0)
-    # 2. Average the bits of goals, as 1 and -1. The signs are the bits of a goal that gets over half of the path, if
-    #    one does: check bits tell.
+    # 2. Average the bits of goals, as 1 and -1, over the parts of each path:
+    #      averaged[i] = load[i] + sum over neighbors j of weight[i, j] * averaged[j],
+    #    a triangular system, with the bits of known goals as the load. The signs are the bits of a goal that gets
+    #    over half of the path, if one does. Else they are mostly bits of no goal: `_CHECK_BITS` more bits, a hash of
+    #    the index, tell. Of two goals one always gets half, so one bit suffices.
     index, bits = np.arange(num_goals), max((num_goals - 1).bit_length(), 1)
     code = index + ((hash64(index) & np.uint64((1 << _CHECK_BITS) - 1)).astype(np.int64) << bits)
     digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
-    has = known_goal.ravel()[order]
-    load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
+    load = np.where(known_goal[:, None] < 0, 0.0, 2.0 * ((code[known_goal][:, None] >> digit) & 1) - 1)
     axis, row = np.nonzero(weights)
     # Before 1.17.1, SciPy's triangular solver takes 32-bit indices only.
     steps = csr_array((-weights[axis, row], np.array([row, neighbor[axis, row]], np.int32)), (len(order),) * 2)
@@ -89,7 +94,8 @@ def carried_goals(
     read = ((averaged > 0) << digit).sum(axis=1)
     decoded = read & ((1 << bits) - 1)
     is_code = (decoded < num_goals) & (code[np.minimum(decoded, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
-    # 3. Elsewhere follow the largest shares.
+    # 3. Elsewhere take the goal of the neighbor with the largest weight. Pointer doubling follows these neighbors to
+    #    nodes whose bits are those of a goal, or that have no neighbor.
     best = neighbor[weights.argmax(axis=0), np.arange(len(order))]
     ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
     while (ahead != ahead[ahead]).any():

@@ -14,13 +14,12 @@ from scipy import ndimage
 
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
 _NO_TIME = 1e-9  # of a step, for a node on the first front
-# Costs of two nodes two steps apart do not jump up to this factor. An error that differs by more than this share
-# between two grids does not fall as the step does.
-_NO_JUMP, _LARGEST_CHANGE = 1.35, 0.02
+_NO_JUMP = 1.35  # costs of two nodes two steps apart do not jump up to this factor
+# If costs on two grids differ by more than this share, the error does not fall as the step does.
+_LARGEST_CHANGE = 0.02
 IsOpen = Bool[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
-GoalIndex = Int[np.ndarray, "*shape"]
 
 
 def balls(
@@ -28,16 +27,16 @@ def balls(
     slowness: Costs,  # cost per unit of length at each node
     at_goal: Costs,  # cost per unit of length at the goal nearest to each node
     straight: Costs,  # cost of a free straight motion from each node to a goal; inf if none is known
-    goal: GoalIndex,  # index of the goal of this motion; -1 if none is known
+    goal: Int[np.ndarray, "*shape"],  # index of the goal of this motion; -1 if none is known
     sees_nearest: IsOpen,  # whether the straight motion from each node to its nearest goal is free
     lengths: Costs,  # distance from each node to its nearest goal
     radius: float,  # of the balls around goals
     side: Sides,  # grid step along each axis
 ) -> tuple[Costs, float]:
     """Return costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which marching starts."""
-    # Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
-    # nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes below
-    # that cost, and the cheapest node of each goal, get the cost of their straight motion.
+    # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
+    #    nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes
+    #    below that cost, and the cheapest node of each goal, get the cost of their straight motion.
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
     largest = np.minimum(straight, at_goal * lengths)[stops].min(initial=np.inf)
@@ -46,7 +45,8 @@ def balls(
     np.minimum.at(cheapest, goal[near], straight[near])
     is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
     start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
-    # March from one step below the largest of these costs, so that nodes on both sides of the first front have them.
+    # 2. March from one step below the largest of these costs, so that nodes on both sides of the first front have
+    #    them; but no goal's cheapest node may lie beyond this front.
     inside = np.isfinite(start)
     step = float(slowness[inside].max(initial=0.0) * side.max())
     level = min(largest, float(start[inside].max(initial=0.0))) - step
@@ -57,7 +57,7 @@ def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
     """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
-    # The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
+    # 1. The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
     is_core = start <= level
     reached, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
@@ -74,12 +74,14 @@ def marched(
     front = inverse_square > 0
     if not front.any():
         return np.where(is_core, start, np.inf)
+    # 2. scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts
+    #    as 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its
+    #    slowness. So these nodes get the slowness at which the time is the difference of their known cost and the
+    #    level.
     time = np.where(is_core[front], level - reached[front], reached[front] - level)
-    # scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts as
-    # 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its slowness.
-    # So these nodes get the slowness at which the time is the difference of their known cost and the level.
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
+    # 3. March.
     travel_time = skfmm.travel_time(
         np.ma.MaskedArray(np.where(is_core, -1.0, 1.0), ~is_open),
         1 / slowness,
@@ -100,19 +102,21 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
     if any(n % 2 == 0 for n in is_open.shape):
         return False
     for axis in range(is_open.ndim):
-        (here, between, there), (clear_here, _, clear_there), (cost_here, _, cost_there) = (
+        # Three nodes in a row: the coarse grid has the first and the last one.
+        (first, middle, last), (clear_first, _, clear_last), (cost_first, _, cost_last) = (
             (nodes[:-2:2], nodes[1::2], nodes[2::2])
             for nodes in (np.moveaxis(table, axis, 0) for table in (is_open, is_clear, factor))
         )
-        jumps = np.maximum(cost_here, cost_there) > _NO_JUMP * np.minimum(cost_here, cost_there)
-        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # a wall between the nodes, not on the open one
-        if (hides_wall | (here & there & (jumps | ~between))).any():
+        jumps = np.maximum(cost_first, cost_last) > _NO_JUMP * np.minimum(cost_first, cost_last)
+        hides_wall = (clear_first & ~last) | (clear_last & ~first)  # a wall between the nodes, not on the open one
+        if (hides_wall | (first & last & (jumps | ~middle))).any():
             return False
     return True
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    # Remove the error proportional to the step, by Richardson extrapolation from every second node.
+    # Remove the error proportional to the step, by Richardson extrapolation from every second node: the cost of the
+    # limit is about cost + (cost - cost with twice the step). The change is interpolated to the other nodes.
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))

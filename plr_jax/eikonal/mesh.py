@@ -15,7 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import spread
 from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
-from plr_jax.spaces import CellState, ConfigurationSpace, as_states
+from plr_jax.spaces._space import CellState, ConfigurationSpace, as_states
 
 _MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis
 _NO_BIT = 62  # a bit that is 0 in every slot: descents stop at leaves
@@ -75,6 +75,9 @@ class Mesh:
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
         """Nodes, as fractions of the domain, and for each cell the indices of its corners among them."""
+        # Each axis has as many slots as the finest cells fill. A cell is 2**size slots wide, so its corners lie at
+        # whole places from 0 to `slots`, in units of a slot; the last place of a periodic axis is its first one. The
+        # places of all axes, packed into one integer, are the key of a node.
         slots = 1 << self._finest
         size = (self._finest - self.cells.depth)[:, None]
         place = (self.cells.position[:, None] + corner_bits(self.dim)) << size
@@ -86,7 +89,8 @@ class Mesh:
 
     @cached_property
     def _descent(self) -> Int[np.ndarray, "2 nodes"]:
-        # For each tree node, its lower child (a leaf's own index), and the coordinate bit that chooses the child.
+        # For each tree node, its lower child, and the bit of a point's slot that chooses the child. A leaf is its own
+        # child, chosen by a bit that is 0.
         tree, node = self.tree, np.arange(len(self.tree.child))
         bit = self._finest[tree.axis] - tree.cells.depth[node, tree.axis] - 1
         return np.where(tree.child < 0, [node, np.full_like(node, _NO_BIT)], [tree.child, bit])
@@ -117,11 +121,15 @@ class Mesh:
 
     def locate(self, x: Fractions) -> CellIndex:
         """Return the index of each point's cell: on a face the upper cell, outside the domain the nearest cell."""
-        most = (1 << self._finest) - 1
-        slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most).ravel()
-        first, node, (child, bit) = self.dim * np.arange(len(x)), np.zeros(len(x), np.int64), self._descent
+        # Descend from the root, all points at once, one step for each level of the tree. Along the axis of a node,
+        # one bit of the point's slot tells the half; the upper child follows the lower one.
+        last = (1 << self._finest) - 1
+        slot = np.clip((x * (last + 1.0)).astype(np.int64), 0, last).ravel()
+        row = self.dim * np.arange(len(x))  # where the slots of each point begin
+        node = np.zeros(len(x), np.int64)
+        child, bit = self._descent
         for _ in self.tree.splits:
-            node = child[node] + (slot[first + self.tree.axis[node]] >> bit[node] & 1)
+            node = child[node] + (slot[row + self.tree.axis[node]] >> bit[node] & 1)
         return self.tree.leaf_of_node[node]
 
     @property
@@ -144,14 +152,23 @@ class Mesh:
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        # Lower and upper corners, in fractions of the domain, and the box's shift, in periods, into `other`.
-        (lo, hi), (low, high) = (
-            [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
-        )
-        turn = np.where(low > hi, 1.0, 0.0) - np.where(high < lo, 1.0, 0.0)
-        return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
+        """Return the boxes (faces, edges or corners) that pairs of touching cells share.
+
+        Returns:
+            The lower and the upper corner of each box, in fractions of the domain, where it lies in ``cell``; and the
+            shift, in periods along each axis, that moves it into ``other``. Cells that touch across the seam of a
+            periodic axis are apart in the domain:
+
+                0                       1
+                | other |  ...   | cell |         shift -1: the box at 1, in `cell`, is at 0 in `other`
+        """
+        lo, hi = (self.fractions(cell, np.full(self.dim, end)) for end in (0.0, 1.0))
+        other_lo, other_hi = (self.fractions(other, np.full(self.dim, end)) for end in (0.0, 1.0))
+        shift = np.where(other_lo > hi, 1.0, 0.0) - np.where(other_hi < lo, 1.0, 0.0)
+        return np.maximum(lo, other_lo - shift), np.minimum(hi, other_hi - shift), shift
 
     def connected_to(self, cells: CellIndex | int) -> Mask:
+        # Whether open faces join each cell to one of the given cells, or it is one of them.
         num, faces = len(self.state), self.open_faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
@@ -164,56 +181,70 @@ class Mesh:
 
     def refined(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
         """Return the mesh with the ``chosen`` cells halved, in this order, while at most ``room`` cells are added."""
-        parts, states, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
-        while num < len(chosen) and room >= most:
-            batch = chosen[num : num + room // most]
-            children, *of_children = self._parts(batch, space)
-            parts.append(children)
-            states.append(of_children)
+        # Batches are so small that they add at most `room` cells even if each cell is halved along all axes. Cells
+        # that are halved along fewer axes leave room for another batch.
+        children, columns, num = [], [], 0
+        most_added = 2**self.dim - 1
+        while num < len(chosen) and room >= most_added:
+            batch = chosen[num : num + room // most_added]
+            cells, *states = self._halved(batch, space)
+            children.append(cells)
+            columns.append(states)
             num += len(batch)
-            room -= len(children) - len(batch)
+            room -= len(cells) - len(batch)
         is_kept = np.ones(len(self.state), bool)
         is_kept[chosen[:num]] = False
-        states.insert(0, (self.state[is_kept], self.is_flush[is_kept]))
-        state, is_flush = (np.concatenate(column) for column in zip(*states, strict=True))
-        return _mesh(self.domain, self.cells[is_kept].append(*parts), state, is_flush)
+        columns.insert(0, (self.state[is_kept], self.is_flush[is_kept]))
+        state, is_flush = (np.concatenate(column) for column in zip(*columns, strict=True))
+        return _mesh(self.domain, self.cells[is_kept].append(*children), state, is_flush)
 
-    def _parts(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        """Halve cells, and return their parts, the states of the parts, and whether they are flush."""
-        cells, bits, mixed = self.cells[chosen], corner_bits(self.dim), self.state[chosen] != CellState.FREE
-        # 1. Classify the parts of cells that are not free, halved along all axes.
+    def _halved(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
+        """Halve cells along one or more axes; return the new cells, their states, and whether they are flush."""
+        #   +---+---+    The parts of a cell that is halved along all axes have the numbers of `corner_bits`: one bit
+        #   | 1 | 3 |    for each axis, the highest for the first axis (here to the right). If only the first axis is
+        #   +---+---+    halved, parts 0 and 1 join, and parts 2 and 3: their numbers are equal in the bits of halved
+        #   | 0 | 2 |    axes.
+        #   +---+---+
+        cells, bits = self.cells[chosen], corner_bits(self.dim)
+        # 1. Classify the parts of cells that are not free. Parts of free cells are free.
         state = np.repeat(self.state[chosen, None], len(bits), axis=1)
         is_flush = np.zeros(state.shape, bool)
-        halved = cells[mixed]
+        not_free = self.state[chosen] != CellState.FREE
+        parts = cells[not_free]
         for axis in range(self.dim):
-            halved = halved.split(np.full(len(halved), axis))
-        for table, of_parts in zip((state, is_flush), _classify(halved, self.domain, space), strict=True):
-            table[mixed] = of_parts.reshape(-1, len(bits))
-        # 2. Choose one axis that gives a proven half, so that walls along halves take few cells, else all long axes.
+            parts = parts.split(np.full(len(parts), axis))
+        for table, of_parts in zip((state, is_flush), _classify(parts, self.domain, space), strict=True):
+            table[not_free] = of_parts.reshape(-1, len(bits))
+        # 2. Choose the axes. If halving a cell along one axis gives a proven half, halve it along this axis only, so
+        #    that walls along halves take few cells: along the axis with most proven halves, of equal ones the
+        #    longest. Else halve all long axes.
         width = self.widths[chosen] * space.motion_cost.scale
-        width = width / width.max(axis=1, keepdims=True)
+        width = width / width.max(axis=1, keepdims=True)  # at most 1, so half of it counts less than a proven half
         halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
         is_proven = (halves == halves[:, :, :1]).all(axis=2) & (halves[:, :, 0] != CellState.MIXED)
-        proven = is_proven.reshape(len(chosen), self.dim, 2).sum(axis=2)
-        best = np.argmax(proven + width / 2, axis=1)
-        alone = mixed & proven.any(axis=1)
-        is_halved = np.where(alone[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
-        # 3. Join parts along the other axes.
-        code = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
-        key, of_part = np.unique(np.arange(len(chosen))[:, None] * len(bits) + code, return_inverse=True)
+        num_proven = is_proven.reshape(len(chosen), self.dim, 2).sum(axis=2)
+        best = np.argmax(num_proven + width / 2, axis=1)
+        has_one_axis = not_free & num_proven.any(axis=1)
+        is_halved = np.where(has_one_axis[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
+        # 3. Join the parts along the other axes. The key of a new cell is cell * 2**dim + number of its lowest part.
+        #    A new cell is proven if its parts have one state, and flush if it is blocked and one of its parts is
+        #    flush.
+        number = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
+        key, of_part = np.unique(np.arange(len(chosen))[:, None] * len(bits) + number, return_inverse=True)
         least, most = np.full(len(key), max(CellState), np.int8), np.full(len(key), min(CellState), np.int8)
         np.minimum.at(least, of_part.ravel(), state.ravel())
         np.maximum.at(most, of_part.ravel(), state.ravel())
         cell, part = np.divmod(key, len(bits))
-        parts = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
+        joined = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
         state = np.where(least == most, least, np.int8(CellState.MIXED))
-        return parts, state, np.bincount(of_part.ravel(), is_flush.ravel()) * (state == CellState.BLOCKED) > 0
+        return joined, state, np.bincount(of_part.ravel(), is_flush.ravel()) * (state == CellState.BLOCKED) > 0
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
     """Return a mesh of at most ``max_cells`` equal, nearly cubic cells, and of at least ``num_cells`` if possible."""
-    domain, scale = space.domain, space.motion_cost.scale
-    width = domain.width * scale
+    # 1. Halve each axis until widths are about equal, in units of cost; but along periodic axes at least twice.
+    domain = space.domain
+    width = domain.width * space.motion_cost.scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
     if 2.0 ** least.sum() > max_cells:
         raise ValueError(
@@ -221,6 +252,7 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
             f"got {max_cells}."
         )
     depth = np.maximum(least, np.rint(np.log2(width / width.min())).astype(np.int64))
+    # 2. Fit the number of cells to the limits: join the most halved axes, or halve all axes.
     while 2.0 ** depth.sum() > max_cells:
         depth[np.argmax(np.where(depth > least, depth, -1))] -= 1
     while 2.0 ** depth.sum() < num_cells and 2.0 ** (depth.sum() + domain.dim) <= max_cells:
@@ -232,6 +264,7 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
             f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
             f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
         )
+    # 3. All cells, and their states.
     position = np.indices((1 << depth).tolist()).reshape(domain.dim, -1).T
     cells = Cells(np.tile(depth, (len(position), 1)), position)
     return _mesh(domain, cells, *_classify(cells, domain, space))
@@ -243,6 +276,7 @@ def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
 
 
 def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> tuple[States, Mask]:
+    # The states of cells, and whether they are flush: blocked cells whose grown boxes are not blocked.
     state = as_states(space.classify(*cells.boxes(domain)), len(cells))
     is_flush, blocked = np.zeros(len(cells), bool), np.flatnonzero(state == CellState.BLOCKED)
     is_flush[blocked] = space.classify(*_grown_boxes(cells[blocked], domain)) != CellState.BLOCKED
@@ -260,38 +294,47 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
     Open cells are cells that are not blocked. A path that begins on such an edge or corner may go into any of the
     open cells around it, and a path may pass through it if the space lets robots squeeze between obstacles.
     """
+    #   +---+---+    A blocked flush cell A, seen along an edge (*) that it shares with an open cell B. The four cells
+    #   | A | B |    around the edge are found at a small distance from it, the `inset`. If A and C are blocked but B
+    #   +---*---+    and D are open, no faces join B and D around the edge. Then A counts as mixed, and so does C if
+    #   | D | C |    it is flush. In three dimensions, the same holds for the eight cells around a corner.
+    #   +---+---+
     dim, periodic = mesh.dim, mesh.domain.periodic
     signs, grid = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
     inset = np.ldexp(0.25, -mesh.cells.depth.max(axis=0))  # a quarter of the smallest cell's width along each axis
     while dim > 1:
-        # 1. Find edges and corners that flush and open cells share, as middles and half widths in fractions.
-        flush, beside = mesh.flush_pairs
-        lo, hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
-        low, high, _ = mesh.shared_boxes(flush, beside)
-        x = low[:, None] + (high - low)[:, None] * grid
-        half = np.where(grid == 0.5, (high - low)[:, None] / 2, 0.0)
-        is_edge = ((x == lo[:, None]) | (x == hi[:, None])).sum(axis=2) > 1
+        # 1. Find edges and corners that flush and open cells share, as middles and half widths in fractions. They are
+        #    the parts of the shared box that lie on two or more sides of the flush cell.
+        flush, open_cell = mesh.flush_pairs
+        flush_lo, flush_hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
+        lo, hi, _ = mesh.shared_boxes(flush, open_cell)
+        x = lo[:, None] + (hi - lo)[:, None] * grid
+        half = np.where(grid == 0.5, (hi - lo)[:, None] / 2, 0.0)
+        is_edge = ((x == flush_lo[:, None]) | (x == flush_hi[:, None])).sum(axis=2) > 1
         edges = np.unique(np.append(np.where(periodic, x % 1.0, x), half, axis=2)[is_edge], axis=0)
         middle, half = edges[:, :dim], edges[:, dim:]
         # 2. Find which cells around each are open.
         x = middle[:, None] + signs * inset
         around = mesh.locate(np.where(periodic, x % 1.0, x).reshape(-1, dim)).reshape(x.shape[:2])
         is_open = (mesh.state[around] != CellState.BLOCKED) & (((x > 0) & (x < 1)) | periodic).all(axis=2)
-        # 3. Beside the edge, an open cell may be blocked.
+        # 3. Beside the edge, an open cell may be blocked: classify a small box between the edge and the place in it.
         edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * inset)
         lo, hi = np.minimum(middle[edge], beside) - half[edge], np.maximum(middle[edge], beside) + half[edge]
         is_open[edge, side] = space.classify(mesh.domain.at(lo), mesh.domain.at(hi)) != CellState.BLOCKED
-        touches = np.zeros(len(mesh.state), bool)
-        touches[around[_are_parted(is_open)]] = True
-        touches &= mesh.is_flush & (mesh.state == CellState.BLOCKED)
-        if not touches.any():
+        # 4. Blocked flush cells around edges whose open cells are still parted count as mixed. Being open now, they
+        #    may touch other cells in an edge: repeat.
+        becomes_mixed = np.zeros(len(mesh.state), bool)
+        becomes_mixed[around[_are_parted(is_open)]] = True
+        becomes_mixed &= mesh.is_flush & (mesh.state == CellState.BLOCKED)
+        if not becomes_mixed.any():
             break
-        mesh = mesh.with_state(np.where(touches, np.int8(CellState.MIXED), mesh.state))
+        mesh = mesh.with_state(np.where(becomes_mixed, np.int8(CellState.MIXED), mesh.state))
     return mesh
 
 
 def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, " edges"]:
-    # Whether the open ones among the places around an edge or corner are not all connected through faces.
+    # Whether the open places around an edge or corner are not all connected through faces: a flood from the first
+    # open place misses another one.
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
     return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

@@ -5,6 +5,9 @@ and along every motion rises by no more than the motion costs. The alternating d
 maximizes the function's integral; the multipliers are a flow along cheapest paths. At last the values are rescaled
 until they satisfy the constraints, rounding included. So the bound is proven after any number of iterations.
 
+:class:`CellCosts` has the constraints, and :class:`SlopeSets` the same as sets of gradients. :class:`SlopeProgram` is
+the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system of each of its steps.
+
 References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
 degenerate elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
 """
@@ -59,18 +62,16 @@ class CellCosts:
     @property
     def midway(self) -> "CellCosts":
         """A copy whose upper bounds are the means of the lower and upper bounds: estimates of costs, not bounds."""
-        lower, least = self.lower, self.least
-        if self.pulls is not None:  # no cost is negative
-            longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
-            lower, least = np.maximum(lower, longest), np.maximum(least, longest)
+        # No cost is negative, so the factor is at least the longest pull.
+        longest = 0.0 if self.pulls is None else np.linalg.norm(self.pulls, axis=2).max(axis=0)
+        lower, least = np.maximum(self.lower, longest), np.maximum(self.least, longest)
         return replace(self, upper=(lower + self.upper) / 2, most=(least + self.most) / 2)
 
     @cached_property
     def least_rate(self) -> float:
         """A lower bound, at least 0, of the cost of any motion whose norm is 1, in any cell."""
-        if self.pulls is None:
-            return float(self.lower.min())
-        return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
+        saved = 0.0 if self.pulls is None else np.linalg.norm(self.pulls, axis=2).min(axis=0)
+        return float(np.maximum(self.lower - saved, 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
         """Return upper bounds of the costs of motions by vectors ``change``, each in one cell.
@@ -94,12 +95,14 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     #   least = min over j of lower_j - slope . x_j - within,     so least + slope . x is a lower bound in each part;
     #   most  = max over j of upper_j - slope . x_j + within,     so most + slope . x is an upper bound.
     motion_cost, num = space.motion_cost, len(mesh.state)
+    # 1. Without a cost map the factor is 1. With pulls, constants bound it.
     flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
     if cost_map is None:
         return CellCosts(motion_cost, None, ones, ones, flat, ones, ones)
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, *mesh.grown_boxes)
         return CellCosts(motion_cost, cost_map, lower, upper, flat, lower, upper, pulls)
+    # 2. Bounds of the factor in each part of each cell, a part per column; upper bounds in parts of the grown boxes.
     parts = _PARTS.get(mesh.dim, 1)
     place = np.array(list(product(range(parts), repeat=mesh.dim)))
 
@@ -109,16 +112,19 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
         return (bound.reshape(num, -1) for bound in bounds[:2])
 
     lo, hi = mesh.grown_boxes
-    (lower, _), (_, upper) = bounds_of_parts(*mesh.boxes), bounds_of_parts(lo, hi)
+    lower, _ = bounds_of_parts(*mesh.boxes)
+    _, upper = bounds_of_parts(lo, hi)
+    # 3. The linear bounds. `half` is half the width of a part, and a bit more: grown boxes are a little larger.
     at = (place + 0.5) / parts - 0.5
     slope = (lower + upper) / 2 @ at / np.maximum(np.sum(at**2, axis=0), _TINY)
-    # Half a part, and a bit more: the parts with upper bounds are of boxes that are a little larger than the cells.
     half = (hi - lo) / (2 * parts) + (hi - lo - mesh.widths)
-    within, linear = np.sum(np.abs(slope) * half / mesh.widths, axis=1, keepdims=True), slope @ at.T
+    within = np.sum(np.abs(slope) * half / mesh.widths, axis=1, keepdims=True)
+    linear = slope @ at.T
     least, most = np.min(lower - linear - within, axis=1), np.max(upper - linear + within, axis=1)
     lower, upper = lower.min(axis=1), upper.max(axis=1)
-    # Where the factor jumps, its least and its largest value are better bounds: use them if the linear bounds are
-    # worse in the middle of the cell, or the lower one is far lower somewhere.
+    # 4. Where the factor jumps, its least and its largest value are better bounds: use them if the linear bounds are
+    #    worse in the middle of the cell, or the lower one is far lower somewhere. Over a cell, a linear bound falls
+    #    from its middle by at most half the sum of its slopes.
     is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_LINEAR_BOUND * lower) | (least < lower) | (most > upper)
     slope[is_flat] = 0.0
     least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
@@ -136,14 +142,17 @@ def rescaling_of(
     """
     # Between neighbor levels, g has the slope 1 / max(1, factors of all cells whose values include this interval). By
     # the chain rule, the slope of g(u) in a cell is the slope of g times the slope of u, so at most the allowed one.
-    order = np.argsort(factor, kind="stable")
-    order = order[factor[order] > 1]
-    level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
-    steepest = np.ones(len(level) - 1)
+    # 1. The levels: where the values of cells that are too steep begin and end.
+    too_steep = np.argsort(factor, kind="stable")
+    too_steep = too_steep[factor[too_steep] > 1]
+    level = np.unique(np.concatenate([lowest[too_steep], highest[too_steep], [lowest.min(), 0.0, highest.max()]]))
+    # 2. The largest factor between neighbor levels: cells come by ascending factor, so the last one to write has it.
+    largest = np.ones(len(level) - 1)
     first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
-    for cell in order.tolist():  # the steepest last, to overwrite others
-        steepest[first[cell] : last[cell]] = factor[cell]
-    value = np.append(0.0, np.cumsum(np.diff(level) / steepest))
+    for cell in too_steep.tolist():
+        largest[first[cell] : last[cell]] = factor[cell]
+    # 3. The sum of slope times length, with g(0) = 0.
+    value = np.append(0.0, np.cumsum(np.diff(level) / largest))
     return level, value - np.interp(0.0, level, value)
 
 
@@ -168,17 +177,19 @@ class SlopeSets:
         """Return the nearest point to each vector in its set."""
         # Shorten the part over each group of axes to the radius. With pulls, shorten the vector from the segment's
         # nearest point instead.
-        offset, radius = self._nearest_offset(g), self.radius
-        g, nearest = g - offset, np.empty_like(g)
+        center = self._nearest_center(g)
+        g = g - center
+        shortened = np.empty_like(g)
         for block, length in zip(self.blocks, self.lengths(g), strict=True):
-            nearest[list(block)] = g[list(block)] * (radius / np.maximum(length, radius))
-        return nearest + offset
+            shortened[list(block)] = g[list(block)] * (self.radius / np.maximum(length, self.radius))
+        return shortened + center
 
-    def _nearest_offset(self, g: Vectors) -> Vectors | float:
+    def _nearest_center(self, g: Vectors) -> Vectors | float:
         # The point nearest to g on the segment from -pulls[0] to -pulls[1]; 0 without pulls.
         if self.pulls is None:
             return 0.0
-        first, along = -self.pulls[0], self.pulls[0] - self.pulls[1]
+        first = -self.pulls[0]
+        along = self.pulls[0] - self.pulls[1]
         t = np.sum((g - first) * along, axis=0) / np.maximum(np.sum(along**2, axis=0), _TINY)
         return first + np.clip(t, 0.0, 1.0) * along
 
@@ -188,34 +199,36 @@ class SlopeSets:
         A vector whose factor is at most 1 lies in its set already. With pulls, a larger factor may be more than
         needed; otherwise it is the least.
         """
-        # With pulls, let d be the distance of g to the segment, and r the radius of a ball around 0 within the set K.
-        # If d > radius, g is the sum of a point of K and a vector of length d - radius, which lies in the multiple
-        # (d - radius) / r of K. So g lies in the multiple 1 + (d - radius) / r.
-        g = g - self._nearest_offset(g)
-        length = np.max(self.lengths(g), axis=0)
+        # Without pulls, the factor is the largest |g| / radius over groups of axes. With pulls, let d be the distance
+        # of g to the segment, and r the radius of a ball around 0 within the set K: `radius` minus the distance of 0
+        # to the segment. If d > radius, g is the sum of a point of K and a vector of length d - radius, which lies in
+        # the multiple (d - radius) / r of K. So g lies in the multiple 1 + (d - radius) / r.
+        length = np.max(self.lengths(g - self._nearest_center(g)), axis=0)
         if self.pulls is None:
             return length / self.radius
-        inner = self.radius - np.linalg.norm(self._nearest_offset(np.zeros_like(g)), axis=0)  # of a ball around 0
+        inner = self.radius - np.linalg.norm(self._nearest_center(np.zeros_like(g)), axis=0)
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
         """Return the least costs of motions by the vectors ``-flow``, the support functions of the sets."""
-        # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|.
-        norm = np.sum(self.lengths(flow), axis=0)
-        if self.pulls is None:
-            return self.radius * norm
-        return self.radius * norm + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
+        # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|; of a segment,
+        # the larger value at its ends -pulls[0] and -pulls[1]; of a sum of sets, the sum of their support functions.
+        of_ball = self.radius * np.sum(self.lengths(flow), axis=0)
+        return of_ball if self.pulls is None else of_ball + np.max(-np.sum(self.pulls * flow, axis=1), axis=0)
 
 
 # Least penalty, as a share of the median flow: flows converge sooner with a small one, values with a large one.
-_LEAST_PENALTY, _LEAST_PENALTY_AT_LAST = 0.2, 100.0
-_RELAXATION = 1.6
+_LEAST_PENALTY = 0.2
+_LEAST_PENALTY_AT_LAST = 100.0
+_RELAXATION = 1.6  # of each step; without over-relaxation, 1
 _LEAST_INFLOW = 0.1  # least flow into a goal, as a share of the mean, for the weight of the value there
-# Iterations between evaluations of the bound; and its least relative rise within so many iterations.
-_LOOK_EVERY, _GAIN, _PATIENCE = 10, 5e-4, 30
-_RESIDUAL, _MOST_STEPS = 1e-2, 50  # share of the residual that conjugate gradients leave, and most steps
-# Most unknowns of a factored matrix in three dimensions, and of the coarsest grid of multigrid.
-_MOST_FACTORED, _COARSEST_GRID = 100_000, 100
+_LOOK_EVERY = 10  # iterations between evaluations of the bound
+_GAIN = 5e-4  # least relative rise of the bound that counts
+_PATIENCE = 30  # iterations without such a rise after which the solver stops
+_RESIDUAL = 1e-2  # share of the residual that conjugate gradients leave
+_MOST_STEPS = 50  # most steps of conjugate gradients
+_MOST_FACTORED = 100_000  # most unknowns of a factored matrix in three dimensions
+_COARSEST_GRID = 100  # most unknowns of the coarsest grid of multigrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,19 +258,21 @@ class SlopeProgram:
 
         ``goals`` are fractions of the domain. Cells of goals are never blocked.
         """
-        homes, state = mesh.locate(goals), mesh.state.copy()
+        # 1. The mesh, in which only cells that paths may join to a goal are open.
+        homes = mesh.locate(goals)
+        state = mesh.state.copy()
         state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED  # goals are free to a tolerance
         mesh = with_open_contacts(mesh.with_state(state), space)
         mesh = mesh.with_state(np.where(mesh.connected_to(homes), mesh.state, np.int8(CellState.BLOCKED)))
-        # Degree 2 errs far less a cell, but takes too long beyond two dimensions.
+        # 2. The matrices. Degree 2 errs far less a cell, but takes too long beyond two dimensions.
         functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
         gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
         num_controls = len(functions.lattice)
         volume = np.repeat(mesh.volumes[mesh.open_cells] / num_controls, num_controls)
         at_goals = functions.interpolation(homes, mesh.local(homes, goals))
-        at_goals = at_goals.toarray()[0] if len(goals) == 1 else at_goals
+        goal = at_goals.toarray()[0] if len(goals) == 1 else at_goals
         costs = cell_costs(space, cost_map, mesh)
-        return cls(functions, gradient, costs, volume, functions.basis_integrals(), at_goals, goals)
+        return cls(functions, gradient, costs, volume, functions.basis_integrals(), goal, goals)
 
     @property
     def dim(self) -> int:
@@ -307,11 +322,11 @@ class SlopeProgram:
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
-        doubt = self._linear(self.costs.most) / self.sets.radius  # the largest over the least cost of a step
+        doubt = self._linear(self.costs.most) / self.sets.radius  # upper over lower bound of the cost of a motion
         cost = (doubt * self.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
-        gain = np.sum(flow * self.mean_gradients(iterate.values), axis=1)
-        gain[mesh.state[mesh.open_cells] == CellState.MIXED] = 0.0
-        return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
+        rise = np.sum(flow * self.mean_gradients(iterate.values), axis=1)
+        rise[mesh.state[mesh.open_cells] == CellState.MIXED] = 0.0
+        return mesh.volumes[mesh.open_cells] * np.maximum(cost - rise, 0.0)
 
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         # Losses of the goals' cells as if all flow there went straight to the goal; 0 for other cells.
@@ -319,39 +334,43 @@ class SlopeProgram:
         # the flow f, whose sources are spread evenly and which enters the goals, gives
         #   integral of e = integral of f . grad e + sum over goals of inflow * e(goal).
         # Of both sums, take the terms of the goals' cells.
+        # 1. e at the degrees of freedom.
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
         nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion_cost, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
         excess = self.costs.of_motions(change, self.goal_cells[nearest]) - self.below_goals(iterate.values)
-        climbed = self.volume * np.sum(iterate.flow * self.gradients(excess), axis=0)
-        gap = np.zeros(len(mesh.state))
-        gap[mesh.open_cells] = climbed.reshape(-1, len(space.lattice)).sum(axis=1)
-        np.add.at(gap, self.goal_cells, iterate.inflow * (self.goal @ excess))
-        return np.where(np.isin(mesh.open_cells, self.goal_cells), gap[mesh.open_cells], 0.0)
+        # 2. The terms of each cell.
+        along_flow = self.volume * np.sum(iterate.flow * self.gradients(excess), axis=0)
+        loss = np.zeros(len(mesh.state))
+        loss[mesh.open_cells] = along_flow.reshape(-1, len(space.lattice)).sum(axis=1)
+        np.add.at(loss, self.goal_cells, iterate.inflow * (self.goal @ excess))
+        return np.where(np.isin(mesh.open_cells, self.goal_cells), loss[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
         # Before the iterations in `factor_at`, penalties are fitted to the flow, and the matrix is factored again.
+        # Without a start, the first iterate has no flow (see `_Splitting`).
         if start is None:
-            flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
-            start = Iterate(np.zeros(len(self.weight)), flow, inflow)
-        state = _Splitting(self, start, _LEAST_PENALTY)
+            flow = np.zeros((self.dim, len(self.volume)))
+            start = Iterate(np.zeros(len(self.weight)), flow, np.full(len(self.at), self.weight.sum()))
+        splitting = _Splitting(self, start, _LEAST_PENALTY)
         for iteration in range(num_iterations):
             if iteration in factor_at:
-                state = _Splitting(self, state.iterate, _LEAST_PENALTY)
-            state.step()
-        return state.iterate
+                splitting = _Splitting(self, splitting.iterate, _LEAST_PENALTY)
+            splitting.step()
+        return splitting.iterate
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
         """Return the iterate with the best proven bound, and whether the bound stopped rising before the limit."""
-        state, best, highest, improved_at = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
+        splitting = _Splitting(self, start, _LEAST_PENALTY_AT_LAST)
+        best, highest, improved_at = start, 0.0, 0
         for iteration in range(most_iterations):
-            state.step()
+            splitting.step()
             if iteration % _LOOK_EVERY:
                 continue
-            u = self.below_goals(state.u)
-            value = float(self.weight @ np.interp(u, *self.rescaling(u)))
+            u = self.below_goals(splitting.u)
+            value = float(self.weight @ np.interp(u, *self.rescaling(u)))  # the integral of the proven bound
             if value > (1 + _GAIN) * highest:
-                best, highest, improved_at = state.iterate, value, iteration
+                best, highest, improved_at = splitting.iterate, value, iteration
             elif iteration >= improved_at + _PATIENCE:
                 return best, True
         return best, False
@@ -374,43 +393,42 @@ class _Splitting:
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
-        self._program, radius = program, program.sets.radius
-        self._load, flow, inflow = program.weight, start.flow, start.inflow
-        if len(inflow) == 1:
-            self._load = self._load - program.weight.sum() * program.goal
-        # The least cost across a goal's cell is to values at goals what the radius of a set is to slopes.
-        lower, widths = program.costs.lower[program.goal_cells], program.space.mesh.widths[program.goal_cells]
-        across = lower * program.costs.motion_cost.norm(widths)
-        if not flow.any():  # start from the flow of least squares, which has the right size in any units
+        self._program = program
+        radius, flow, inflow = program.sets.radius, start.flow, start.inflow
+        self._load = program.weight - program.weight.sum() * program.goal if len(inflow) == 1 else program.weight
+        # 1. The least cost across a goal's cell is to values at goals what the radius of a set is to slopes.
+        lower = program.costs.lower[program.goal_cells]
+        across = lower * program.costs.motion_cost.norm(program.space.mesh.widths[program.goal_cells])
+        # 2. Without a flow, start from the flow of least squares, which has the right size in any units.
+        if not flow.any():
             system = _Poisson(program, 1 / radius, inflow * lower / across**2)
             potential = system.solve(self._load, np.zeros_like(flow), 0 * inflow, np.zeros(len(self._load)))
             flow = program.gradients(potential) / radius
             inflow = inflow if len(inflow) == 1 else system.stiffness * (program.goal @ potential)
-        # Penalties of |flow| / radius make multipliers as long as gradients may be; where little flows, penalties are
-        # larger.
-        norm = program.sets.costs(flow) / radius
-        carried = norm[norm > 0]
-        self._penalty = np.maximum(norm, least_penalty * np.median(carried) if carried.size else 1.0) / radius
+        # 3. Penalties of |flow| / radius make multipliers as long as gradients may be; where little flows, penalties
+        #    are larger.
+        norm = program.sets.costs(flow) / radius  # |flow|, but for pulls
+        positive = norm[norm > 0]
+        self._penalty = np.maximum(norm, least_penalty * np.median(positive) if positive.size else 1.0) / radius
         stiffness = np.maximum(inflow, _LEAST_INFLOW * inflow.mean()) / across
         self._system = _Poisson(program, self._penalty, stiffness)
-        self.u, g, self._y = start.values, program.gradients(start.values), start.flow / self._penalty
-        self._z = program.sets.project(g)
+        # 4. The variables: u, and z and y for gradients and for values at goals.
+        self.u = start.values
+        self._y = start.flow / self._penalty
+        self._z = program.sets.project(program.gradients(start.values))
         self._y_goals, self._z_goals = inflow / stiffness, np.minimum(program.goal @ self.u, 0.0)
 
     @property
     def iterate(self) -> Iterate:
-        inflow = self._system.stiffness * self._y_goals
-        return Iterate(self.u, self._penalty * self._y, inflow)
+        return Iterate(self.u, self._penalty * self._y, self._system.stiffness * self._y_goals)
 
     def step(self) -> None:
         self.u = self._system.solve(self._load, self._z - self._y, self._z_goals - self._y_goals, self.u)
         if len(self._y_goals) > 1:
-            at_goals = self._program.goal @ self.u
-            v = _RELAXATION * at_goals + (1 - _RELAXATION) * self._z_goals + self._y_goals
+            v = _RELAXATION * (self._program.goal @ self.u) + (1 - _RELAXATION) * self._z_goals + self._y_goals
             self._z_goals = np.minimum(v, 0.0)
             self._y_goals = v - self._z_goals
-        g = self._program.gradients(self.u)
-        v = _RELAXATION * g + (1 - _RELAXATION) * self._z + self._y
+        v = _RELAXATION * self._program.gradients(self.u) + (1 - _RELAXATION) * self._z + self._y
         self._z = self._program.sets.project(v)
         self._y = v - self._z
 
@@ -422,15 +440,20 @@ class _Poisson:
         # Minimize sum(volume * penalty * |G u - field|**2) / 2 + sum(stiffness * (u at goals - at_goals)**2) / 2
         # - load . u, with G the gradient and V the diagonal matrix of volume * penalty:
         #   (G' V G + goal' stiffness goal) u = load + G' V field + goal' stiffness at_goals.
-        # All flow enters a single goal. Without terms of goals, the solution is then unique up to a constant, and the
-        # first unknown is 0.
-        weights = np.tile(penalty * program.volume, program.dim)
-        self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
-        matrix, self.stiffness, self._first = self.divergence @ program.gradient, stiffness, 1
-        if len(stiffness) > 1:
-            self._first, self.from_goals = 0, csr_array((diags_array(stiffness) @ program.goal).T)
+        # All flow enters a single goal, so there are no terms of goals. The solution is then unique up to a constant,
+        # and the first unknown is fixed to 0.
+        self.divergence = csr_array(
+            (diags_array(np.tile(penalty * program.volume, program.dim)) @ program.gradient).T
+        )
+        matrix = self.divergence @ program.gradient
+        self.stiffness = stiffness
+        self._num_fixed = int(len(stiffness) == 1)
+        if not self._num_fixed:
+            self.from_goals = csr_array((diags_array(stiffness) @ program.goal).T)
             matrix = matrix + self.from_goals @ program.goal
-        self.matrix = csr_matrix(matrix[self._first :, self._first :])
+        self.matrix = csr_matrix(matrix[self._num_fixed :, self._num_fixed :])
+        # Factor the matrix if it is small or the domain has one or two axes. Else prepare conjugate gradients, with
+        # multigrid as their preconditioner.
         self._factors: Any = None
         if program.dim <= 2 or (program.dim == 3 and len(program.weight) <= _MOST_FACTORED):
             options = {"SymmetricMode": True}
@@ -438,19 +461,19 @@ class _Poisson:
         else:
             from pyamg import smoothed_aggregation_solver  # its import takes 0.1 s, and few programs are so large
 
-            self._multigrid = smoothed_aggregation_solver(
-                self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
-            ).aspreconditioner()
+            multigrid = smoothed_aggregation_solver(self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None)
+            self._multigrid = multigrid.aspreconditioner()
 
     def solve(self, load: Dofs, field: Vectors, at_goals: Float[np.ndarray, " goals"], guess: Dofs) -> Dofs:
-        right = (load + self.divergence @ field.ravel())[self._first :]
-        if not self._first:
+        # `guess` is a solution to start from, for conjugate gradients.
+        fixed = np.zeros(self._num_fixed)
+        right = (load + self.divergence @ field.ravel())[self._num_fixed :]
+        if not self._num_fixed:
             right = right + self.from_goals @ at_goals
         if self._factors is not None:
-            return np.append(np.zeros(self._first), self._factors.solve(right))
-        guess = guess - guess[0] if self._first else guess
-        guess = guess[self._first :]
+            return np.append(fixed, self._factors.solve(right))
+        guess = (guess - guess[0])[1:] if self._num_fixed else guess
         # The guess is from the last step: a step reduces its residual, but need not solve exactly.
         norm = float(np.linalg.norm(right - self.matrix @ guess))
         u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * norm, maxiter=_MOST_STEPS, M=self._multigrid)
-        return np.append(np.zeros(self._first), u)
+        return np.append(fixed, u)

@@ -24,26 +24,31 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import as_numbers, shortened
 from plr_jax.eikonal.program import rescaling_of
 
-# Most cells of a search for paths, which takes about 4 kB a cell: into which smaller rasters are divided; by default;
-# and if bounds or heights need the search.
-_FINE_CELLS, MOST_CELLS, MOST_ON_REQUEST = 60_000, 1 << 21, 1 << 22
-_HALVES, _REACH = 8, 6  # most half cells along each axis of an edge, and most cells of an edge with heights
+# Numbers of cells for a search for paths, which takes about 4 kB a cell.
+_FINE_CELLS = 60_000  # smaller rasters are divided into about so many cells
+MOST_CELLS = 1 << 21  # most cells by default
+MOST_ON_REQUEST = 1 << 22  # most cells if bounds or heights need the search
+_HALVES = 8  # most half cells of an edge along each axis, without heights
+_REACH = 6  # most cells of an edge along each axis, with heights
 _LARGEST_RATIO = 1e5  # of two costs in a march; at 1e6, scikit-fmm returns NaN
 _TINY = 1e-9  # distance in cells from a source to the front of a march
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
-# Lower bounds start this share below the distances, and are projected so often, by so much of the way that a
-# projection asks for. Where costs jump, 400 projections halve the gap that 100 leave.
-_SLACK, _PROJECTIONS, _RELAXATION = 0.02, 400, 1.5
+_SLACK = 0.02  # share by which lower bounds start below the distances
+_PROJECTIONS = 400  # rounds of projections; where costs jump, 400 halve the gap that 100 leave
+_RELAXATION = 1.5  # step of a round, as a multiple of the step that projections ask for
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
 Nearest = Int[np.ndarray, "rows columns"]
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
+# Values of the cells that lie at an offset, in rows and columns, from other cells.
+AtOffset = Callable[[tuple[int, int]], np.ndarray]
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
-    # Odd numbers for rows and columns, larger for a small raster.
+    # Numbers of rows and columns of parts of each cell, so that parts are about square and a small raster has about
+    # _FINE_CELLS of them. They are odd: the center of a cell is the center of a part.
     scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
     wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
     return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
@@ -53,15 +58,20 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 class PathTree:
     """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest of given points."""
 
-    next_node: Int[np.ndarray, " nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
+    # For each node the next one of its path, negative without a path. Nodes are corners of parts row by row (none
+    # with heights), then centers of parts row by row, then sources.
+    next_node: Int[np.ndarray, " nodes"]
     shape: tuple[int, int]  # rows and columns of parts of cells
     side: Sides  # of a part
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
         """Return the vertices of the path from a cell's center: both ends and all turns; none without a path."""
-        (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
-        num_corners, vertices = first_source - rows * columns, []
+        rows, columns = self.shape
+        first_source = len(self.next_node) - len(self.ends)
+        num_corners = first_source - rows * columns
+        # 1. Follow the next nodes up to a source.
+        vertices = []
         row, column = (center / self.side).astype(int)[::-1]
         node = num_corners + row * columns + column
         while node < first_source:
@@ -72,6 +82,7 @@ class PathTree:
             vertices.append((column + is_center / 2, row + is_center / 2) * self.side)
             node = self.next_node[node]
         vertices.append(self.ends[node - first_source])
+        # 2. Leave out equal vertices, and vertices at which the path does not turn.
         path = np.array(vertices)
         path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
         edges = np.diff(path, axis=0)
@@ -83,13 +94,18 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    # Results for whole cells: costs of paths, indices of sources, perhaps lower and upper bounds.
-    fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
-    distance, at_corners, nearest, tree = search(fine, of_part, points)
+    """Search on ``parts`` of cells; return tables of whole cells, and the paths.
+
+    The tables are costs of paths, indices of sources and, with ``bounds``, lower and upper bounds, each from the
+    middle part of a cell.
+    """
+    fine = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1)
+    part_side = side / parts[::-1]
+    distance, at_corners, nearest, tree = search(fine, part_side, points)
     results = [distance, nearest]
     if bounds:
         assert at_corners is not None
-        results += [_below(fine, of_part, points, distance, at_corners), distance * (1 + _ROUNDING)]
+        results += [_below(fine, part_side, points, distance, at_corners), distance * (1 + _ROUNDING)]
     return [table[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for table in results], tree
 
 
@@ -100,25 +116,35 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     costs of known paths from centers and corners, linear in the four triangles around each center, are made less
     steep by repeated projections, and at last rescaled to be such a function.
     """
-    # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
+    #   3-------2    1. The triangles of a cell, one at each side. Triangle k has the side from corner k to the next
+    #   | \ 2 / |       corner, along an axis, and the center m. The corners k of all cells are the part places[k] of
+    #   |3  m  1|       the table of corners.
+    #   | / 0 \ |
+    #   0-------1
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
     cost, at_centers, at_corners = cost / least, at_centers / least, at_corners / least
-    ends = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
+    places = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
+    triangles = list(zip(places, (*places[1:], places[0]), (0, 1, 0, 1), strict=True))
     is_known = np.isfinite(at_corners)  # paths do not pass where two barriers touch: nothing binds such a corner
-    sides, axes = list(zip(ends, (*ends[1:], ends[0]), strict=True)), (0, 1, 0, 1)
-    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q in sides]
+    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q, _ in triangles]  # largest slopes
     middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
 
     def steepness(triangle: int) -> Raster:
-        (p, q), axis = sides[triangle], axes[triangle]
-        along, across = (corner[q] - corner[p]) / side[axis], (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
+        # The slope of the linear function over its largest value. Along the side of length s, it is (u_q - u_p) / s.
+        # Across, from the center to the middle of the side, half the other side of the cell away, it is
+        # ((u_p + u_q) / 2 - u_m) / (t / 2).
+        p, q, axis = triangles[triangle]
+        along = (corner[q] - corner[p]) / side[axis]
+        across = (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
         return np.sqrt(along * along + across * across) / most[triangle]
 
-    # 2. Project.
+    # 2. Project: move the three values of a steep triangle towards their mean, until its slope is allowed. All
+    #    triangles are treated at once, and each value takes the mean of the changes that steep triangles ask for.
     for _ in range(_PROJECTIONS):
         change, count = ([np.zeros_like(values) for values in (middle, corner)] for _ in range(2))
-        for triangle, (p, q) in enumerate(sides):
-            excess, mean = np.maximum(steepness(triangle), 1.0), (corner[p] + corner[q] + middle) / 3
+        for triangle, (p, q, _) in enumerate(triangles):
+            excess = np.maximum(steepness(triangle), 1.0)
+            mean = (corner[p] + corner[q] + middle) / 3
             shrinkage, is_steep = 1 / excess - 1, excess > 1
             for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
                 change[kind][place] += shrinkage * (values[place] - mean)
@@ -127,14 +153,15 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
         corner += _RELAXATION * change[1] / np.maximum(count[1], 1)
     # 3. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
     factor = (1 + _ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
-    around = np.stack([u for p in ends for u in (corner[p], 2 * middle - corner[p])])
+    around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
-    # 4. Subtract the largest value that a source may have.
+    # 4. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
+    #    there.
     home = cells_of(points, side, cost.shape)
     to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
     home = tuple(home.T)
-    most_at_sources = np.max(lower[home] + cost[home] * to_center)
-    lower = np.maximum(lower - most_at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
+    at_sources = np.max(lower[home] + cost[home] * to_center)
+    lower = np.maximum(lower - at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
     return np.where(np.isfinite(at_centers), least * lower, np.inf)
 
 
@@ -152,9 +179,13 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
             f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
     cost = cost / least  # scikit-fmm ignores some small costs
+    # 1. Cells with a source are inside of the first front. In a cell with several sources the first one counts: it is
+    #    written last.
     home = tuple(cells_of(points, side, cost.shape)[::-1].T)
-    front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
-    front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
+    label = np.full(cost.shape, -1, np.int32)
+    label[home] = np.arange(len(points))[::-1]
+    front = np.where(label >= 0, -_TINY * side.min(), side.min())
+    # 2. March, unless all free cells have a source.
     distance = np.where(label >= 0, 0.0, np.inf)
     if (np.isfinite(cost) & (label < 0)).any():
         front = np.ma.MaskedArray(front, np.isinf(cost))
@@ -165,11 +196,19 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Return the index of the source that steepest descent of the distance reaches from each cell of a raster."""
-    # `step`: width and height of a cell; `label`: the source's index in cells with a source, -1 in other cells.
-    # 1. The next node: of sixteen around it, the one through which the distance is least.
+    """Return the index of the source that steepest descent of the distance reaches from each cell of a raster.
+
+    ``step`` is the width and height of a cell. ``label`` is the source's index in cells with a source, else -1.
+    """
+    # 1. The next cell of each cell: of the sixteen cells around it (x), the one through which the distance is least.
+    #      . x . x .      Eight steps and their opposites. For a step (i, j), `part(values, (0, 0))` are the values of
+    #      x x x x x      all cells from which the step stays in the raster, and `part(values, (i, j))` those of the
+    #      . x o x .      cells to which it leads.
+    #      x x x x x
+    #      . x . x .
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
-    index, least = toward.copy(), np.full(distance.shape, np.inf)
+    index = toward.copy()
+    least = np.full(distance.shape, np.inf)
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
         first = np.maximum([0, 0], [-i, -j])
         last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
@@ -184,7 +223,8 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
             part(least, a)[is_better] = through[is_better]
             part(toward, a)[is_better] = part(index, b)[is_better]
     del index, least
-    # 2. Replace each successor by its successor until nothing changes.
+    # 2. Pointer doubling: replace each next cell by its next cell until nothing changes. Next cells have smaller
+    #    distances, so paths end: in cells with a source, or where no next cell is better.
     toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
     while not np.array_equal(further := toward[toward], toward):
         toward = further
@@ -207,16 +247,23 @@ def search(
     """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
-    home, (rows, columns) = cells_of(points, side, cost.shape), cost.shape
+    rows, columns = cost.shape
+    home = cells_of(points, side, cost.shape)
     if height is not None:
         nearest_open: Any = ndimage.distance_transform_edt(
             np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
         )
         height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
     cost = np.pad(cost, _REACH, constant_values=np.inf)
-    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node. Counted
-    #    in half cells, corners have even places and centers odd ones. So both numbers of a step are odd, or both are
-    #    even. A step (2 i, 2 j) passes the place (i, j), which is a node if i + j is even.
+    # 2. Nodes are corners of cells, then centers, then sources; with heights, there are no corners. Steps of edges
+    #    are in half cells, and pass no other node. Counted in half cells, corners have even places and centers odd
+    #    ones:
+    #      4  o       o       o      A step has two odd or two even numbers, so i + j is even. It passes no node if
+    #      3      x       x          gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place, (i / 2, j / 2), which
+    #      2  o       o       o      is no node if i / 2 + j / 2 is odd.
+    #      1      x       x
+    #      0  o       o       o
+    #         0   1   2   3   4
     halves, corner_shape = (1,), (0, 0)
     steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
     if height is None:
@@ -232,8 +279,10 @@ def search(
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
         straight = _straight_costs(cost, side, points, home, near)
     # 4. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
+    #    Rows of `end` and `weight`, views of the arrays of all edges, belong to nodes, and columns to steps.
     size = len(node) * len(steps)
-    ends, costs = np.zeros(size + straight.size, np.int32), np.append(np.empty(size), straight)
+    ends = np.zeros(size + straight.size, np.int32)
+    costs = np.append(np.empty(size), straight)
     end, weight = ends[:size].reshape(len(node), -1), costs[:size].reshape(len(node), -1)
     for half in halves:
         begin_nodes = nodes[half]
@@ -243,6 +292,7 @@ def search(
             i, j = _REACH + offset[0], _REACH + offset[1]
             return values[i : i + shape[0], j : j + shape[1]]
 
+        # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
         for edge, (i, j) in enumerate(steps):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
             of_edges = length * _mean_along(i, j, half, partial(beside, cost))
@@ -250,7 +300,7 @@ def search(
                 of_edges *= _mean_factor(i // 2, j // 2, length, partial(beside, height), slope_fn, from_sources)
             weight[rows_here, edge] = of_edges.ravel()
             end_nodes = nodes[(half + i) % 2]
-            row, column = (
+            row, column = (  # clipped where the edge leaves the raster: its cost is infinite
                 np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
                 for n, most, offset in zip(begin_nodes.shape, end_nodes.shape, (i, j), strict=True)
             )
@@ -261,10 +311,12 @@ def search(
         to_near[:, edge] = end_nodes[tuple(np.clip(home + (1 + step) // 2, 0, np.array(end_nodes.shape) - 1).T)]
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
+        # The cells around each corner: a and b below it, c and d above it.
         a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
         contacts = nodes[0][(a == d) & (b == c) & (a != b)]
         weight[contacts] = np.inf
-    # 5. Shortest paths from all sources at once; an infinite weight is no edge.
+    # 5. Shortest paths outward from all sources at once; an infinite weight is no edge. Each node has an edge for
+    #    each step, and each source an edge to each place in `near`.
     begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
     sources = len(node) + np.arange(len(points))
@@ -285,37 +337,44 @@ def _straight_costs(
     near: Int[np.ndarray, "nodes 2"],  # offsets from the center of that cell, in half cells
 ) -> Float[np.ndarray, "k nodes"]:
     """Return costs of straight motions from points to nodes in and beside their cells; ``inf`` through barriers."""
+    # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
+    #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `leaves` are the shares of
+    #      |       | . end |        the motion at which it leaves the row and the column; 1 if it does not. The first
+    #      |       .       |        cell has the share `first` of the motion, the second cell the share last - first,
+    #      +-----.-+-------+        and the third cell the rest.
+    #      | begin |       |
+    #      +-------+-------+
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
-        # A motion leaves the row and the column of the first cell at most once each.
         leaves = np.where(np.abs(near) > 1, (home[:, None] + (near > 0) - begin) / change, 1.0)
         first, last = leaves.min(axis=2), leaves.max(axis=2)
         beyond = np.sign(near) * (leaves < 1)
         cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
         is_along = (change == 0) & (near < 0)  # along the border to the previous cell: the cheaper cell counts
-        here, between, there = (
+        cost_1, cost_2, cost_3 = (
             np.minimum(*(cost[tuple(np.moveaxis(each + _REACH, 2, 0))] for each in (cell, cell - is_along)))
             for cell in cells
         )
-        mean = first * here + (last - first) * between + (1 - last) * there  # NaN where a barrier is touched
+        mean = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
     return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
 
 
 def _mean_factor(
-    i: int,
-    j: int,
-    length: float,
-    height_at: Callable[[tuple[int, int]], np.ndarray],
-    slope_fn: Slope,
-    from_sources: bool,
+    i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope, from_sources: bool
 ) -> np.ndarray:
-    # Of motions from all cells by (i, j) cells if `from_sources`, else of the motions back.
+    """Return the mean factors of motions by ``(i, j)`` cells, from all cells if ``from_sources``, else back to them.
+
+    A motion is cut into as many equal parts as it has cells along its longer axis. Each part has the factor of its
+    slope.
+    """
+    # At the ends of parts, the place along the longer axis is whole. Along the other axis it is between two cells, i0
+    # or j0 and the next one: interpolate their heights.
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
-        (i0, to_i), (j0, to_j) = (divmod(steps * part, count) for steps in (i, j))
-        # One of the two coordinates is whole: between two cells, heights are interpolated.
-        beyond, fraction = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
+        (i0, rest_i), (j0, rest_j) = (divmod(steps * part, count) for steps in (i, j))
+        beyond = i0 + (rest_i > 0), j0 + (rest_j > 0)
+        fraction = max(rest_i, rest_j) / count
         heights.append((1 - fraction) * height_at((i0, j0)) + fraction * height_at(beyond))
     slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
     factor = as_numbers("slope_cost's answer", slope_fn(slopes), "numbers")
@@ -324,14 +383,15 @@ def _mean_factor(
     return np.mean(np.broadcast_to(factor, slopes.shape), axis=0)
 
 
-def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
+def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     """Return the mean costs along straight motions from many cells, ``inf`` where barriers stop the motion.
 
     Each motion goes by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell
     (``half`` is 1) or in the cell's lower corner (``half`` is 0). For an offset in rows and columns, ``cost_at``
     returns the costs of the cells that lie at this offset from the cells where motions begin.
     """
-    # 1. Cut the motion where it enters another cell.
+    # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which goes from
+    #    `half` to `half + change` in half cells, is even. The middle of each piece, in cells, tells its cell.
     ends = {0.0, 1.0}
     for change in (i, j):
         ends |= {

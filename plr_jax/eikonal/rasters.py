@@ -8,24 +8,13 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_bool, as_numbers, as_point, as_points, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.raster_search import (
-    MOST_CELLS,
-    MOST_ON_REQUEST,
-    PathTree,
-    Points,
-    Raster,
-    Slope,
-    cells_of,
-    march,
-    parts_of_cells,
-    search,
-    search_finely,
-)
+from plr_jax.eikonal import raster_search
+from plr_jax.eikonal.raster_search import MOST_CELLS, MOST_ON_REQUEST, PathTree, Points, Raster, Slope, cells_of
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
-from plr_jax.spaces import data_array_box, is_data_array, raster_values
+from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
 
 _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
@@ -140,25 +129,25 @@ def cost_distance(
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         _require_aligned("A mask of sources", sources, costs)
     points = _as_sources(sources, cost, box, order)
-    # 2. Distances, nearest sources and bounds.
+    # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
     lower = upper = plr = tree = None
     if rise is None:
-        parts = parts_of_cells(cost, side)
+        parts = raster_search.parts_of_cells(cost, side)
         num_cells = cost.size * int(parts.prod())
         if as_bool("bounds", bounds) and num_cells > MOST_ON_REQUEST:
             raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
         if bounds or num_cells <= MOST_CELLS:
-            (distance, nearest, *proven), tree = search_finely(cost, side, points, parts, bounds)
+            (distance, nearest, *proven), tree = raster_search.search_finely(cost, side, points, parts, bounds)
             lower, upper = proven or (None, None)
         else:
-            distance, nearest = march(cost, side, points)
+            distance, nearest = raster_search.march(cost, side, points)
     else:
         slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
         is_reversed = as_bool("from_sources", from_sources)
-        distance, _, nearest, tree = search(cost, side, points, rise, slope_fn, is_reversed)
+        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_fn, is_reversed)
     if max_bytes is not None:
         plr = construct(GridField(distance, box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
@@ -174,12 +163,12 @@ def cost_distance(
             result.attrs["_FillValue"] = -1  # files then know that -1 is no source
         return result
 
-    named = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
-    results = {name: like_costs(name, values) for name, values in named.items()}
-    return CostDistance(**results, plr=plr, _box=box, _tree=tree)
+    tables = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
+    return CostDistance(**{name: like_costs(name, tables[name]) for name in tables}, plr=plr, _box=box, _tree=tree)
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
+    # If both are a DataArray, they must have equal dimensions and coordinates.
     if not (is_data_array(raster) and is_data_array(costs)):
         return
     pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
@@ -191,7 +180,8 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    # Returns costs by ascending coordinates, inf in barriers; their box; and slices that restore the given order.
+    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and slices that restore the order."""
+    # 1. Check the shape of costs, and the size of cells.
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
         raise ValueError(
@@ -207,6 +197,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
         if (size != 1).any():
             raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
         box, order = data_array_box("costs", costs)
+    # 2. Check the values.
     cost = cost[order]
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
@@ -225,6 +216,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
 
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
     """Check the sources, points or a mask, and return points relative to the lower corner of the raster."""
+    # 1. Points: the centers of the mask's cells, in the order of the given raster; or points as given.
     side = box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:
@@ -246,6 +238,7 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 
+    # 2. All points must lie in cells of the raster that are no barriers.
     def first(wrong: Bool[np.ndarray, " k"]) -> str:
         row = int(np.argmax(wrong))
         return f"source {row} at {(points[row] + box.lo).tolist()}, one of {wrong.sum()}"

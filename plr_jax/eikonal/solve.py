@@ -1,4 +1,8 @@
-"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap."""
+"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
+
+With bounds, :class:`SlopeSolver` refines a mesh where the lower bound is loose; paths on the last mesh give the upper
+bound. Without bounds, a PLR is fitted to an estimate on a grid.
+"""
 
 import math
 import warnings
@@ -13,7 +17,8 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh, straight_bound
+from plr_jax.eikonal.bounds import CostToGoField
+from plr_jax.eikonal.certified import plr_of_bytes, plr_on_mesh, straight_bound
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
 from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
@@ -25,20 +30,12 @@ from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import BudgetTooSmall, ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
-from plr_jax.spaces import (
-    CellState,
-    CheckedSpace,
-    ConfigurationSpace,
-    CostMap,
-    FreeTest,
-    Separable,
-    cost_bounds,
-    require_space,
-)
+from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, FreeTest, Separable, require_space
+from plr_jax.spaces._costs import CostMap, cost_bounds
 
-# Default limits: cells by the number of axes, cells in more axes, and leaves of an estimate.
-_MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
-_MAX_LEAVES = {1: 2_000, 2: 2_000, 3: 4_000}
+_MAX_CELLS = {1: 2_000, 2: 10_000}  # default of max_leaves with bounds, by the number of axes
+_MAX_CELLS_BEYOND = 50_000  # the same for more axes
+_MAX_LEAVES = {1: 2_000, 2: 2_000, 3: 4_000}  # default of max_leaves without bounds, by the number of axes
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
 _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
@@ -124,6 +121,7 @@ def solve_eikonal(
     References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
     problem of a cheapest flow, "A continuous model of transportation", 1952.
     """
+    # 1. Check the arguments but the goals.
     require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
         raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
@@ -132,11 +130,11 @@ def solve_eikonal(
         if limit is not None:
             require_integer(name, limit, 1)
     if not as_bool("certified", certified) and (space.domain.dim > MOST_AXES or tolerance is not None):
+        expected = f"up to {MOST_AXES} axes, without a tolerance"
         got = f"{space.domain.dim} axes" + ("" if tolerance is None else f" and tolerance={tolerance}")
-        raise ValueError(
-            f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
-        )
+        raise ValueError(f"certified=False is for {expected}, got {got}: leave it out.")
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
+    # 2. Check the goals: `goals` as rows, `at` as fractions of the domain.
     domain = space.domain
     goal = as_numbers("goal", domain.settled(goal, space.is_free), "numbers, (dim,) or (k, dim)")
     if goal.ndim not in (1, 2) or goal.shape[-1] != domain.dim or not goal.size:
@@ -154,6 +152,7 @@ def solve_eikonal(
     at = at[first]
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if not certified:
+        # 3a. Estimate costs on a grid, some node of which must see each goal.
         leaves = _MAX_LEAVES[domain.dim] if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
         nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
@@ -165,6 +164,7 @@ def solve_eikonal(
             ": it is too close to obstacles. Move it, or leave out certified=False",
         )
         _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
+        # 4a. Fit a PLR to the estimate. Its file also holds the bound by straight motions, which takes a part of it.
         leaf, options = "continuous", BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)
         if len(space.motion_cost.blocks) > 1:
             # The free space of a turning body is thin: continuous leaves would reach through its walls.
@@ -175,28 +175,30 @@ def solve_eikonal(
         straight = straight_bound(domain, space.motion_cost, least_rate, at, max_bytes or math.inf)
         # Before the bound, the file has a float that says that nothing else is proven.
         spare = 0 if straight is None else straight.num_bytes + 4
-        most_bytes = None if max_bytes is None else max(int(max_bytes) - spare, 1)
+        budget = None if max_bytes is None else max(int(max_bytes) - spare, 1)
         try:
-            plr = construct(
-                guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=most_bytes, seed=seed, options=options
-            )
+            plr = construct(guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=budget, seed=seed, options=options)
         except BudgetTooSmall as error:
             assert max_bytes is not None
             raise BudgetTooSmall(max_bytes, error.num_bytes + spare) from None
         plr = plr_of_leaves(replace(plr._contents, straight=straight))
         nearest_goal = guide.which_reached
     else:
-        most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
-        check_memory(2.0 * most, _BYTES_A_CELL / 2)
-        field = _field(cells, cost_map, at, most, tolerance, goals)
-        estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
+        # 3b. Solve for the bounds on a mesh.
+        max_cells = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
+        check_memory(2.0 * max_cells, _BYTES_A_CELL / 2)
+        field = _field(cells, cost_map, at, max_cells, tolerance, goals)
+        estimate = field.estimate
+        proven = field if isinstance(space, ConfigurationSpace) else None
         _require_costs(float(estimate.corner_values.max()))
-        most_bytes, on_mesh = math.inf if max_bytes is None else float(max_bytes), None
-        if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes:
-            on_mesh = plr_on_mesh(estimate, proven, most_bytes)
+        # 4b. The cells are the leaves of the PLR if they fit into the file, else it has fewer leaves.
+        most_bytes = math.inf if max_bytes is None else float(max_bytes)
+        may_fit = len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes
+        on_mesh = plr_on_mesh(estimate, proven, most_bytes) if may_fit else None
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         nearest_goal = field.which
         warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
+    # 5. Without bounds, also a single goal has an index: -1 where the estimate is infinite.
     if certified and goal.ndim == 1:
         return plr
     return plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), nearest_goal))
@@ -205,16 +207,19 @@ def solve_eikonal(
 def _row_of_goal(
     rows: Int[np.ndarray, " k"], which: Callable, x: Float[np.ndarray, "n dim"]
 ) -> Int[np.ndarray, " n"]:
-    return rows[which(x)]  # a function of its own, since lambdas cannot be pickled
+    # The index of the nearest goal among all given goals, from its index among distinct ones. A function of its own,
+    # since lambdas cannot be pickled.
+    return rows[which(x)]
 
 
 def _require_goals(
     goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, " goals"], must: str, why: str = ""
 ) -> None:
+    # Raise a ValueError for the first goal that is not fine.
     if not is_fine.all():
         row = int(is_fine.argmin())
-        of = f" (row {row})" if goal.ndim > 1 else ""
-        raise ValueError(f"{must}, {np.atleast_2d(goal)[row].tolist()}{of} is not{why}.")
+        of_row = f" (row {row})" if goal.ndim > 1 else ""
+        raise ValueError(f"{must}, {np.atleast_2d(goal)[row].tolist()}{of_row} is not{why}.")
 
 
 def _error_by_norm(fit: CellFit) -> Float[np.ndarray, " cells"]:
@@ -233,57 +238,60 @@ def _require_costs(largest: float) -> None:
 
 
 def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -> Reach:
-    domain = reached.domain
-
+    # Whether boxes, in fractions of the domain, may hold free configurations of a space.
     def meets(space: ConfigurationSpace, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        return space.classify(*(domain.at(np.clip(end, 0.0, 1.0)) for end in (lo, hi))) != CellState.BLOCKED
+        return space.classify(*(space.domain.at(np.clip(end, 0.0, 1.0)) for end in (lo, hi))) != CellState.BLOCKED
 
-    tests = partial(meets, reached), partial(meets, cut_off)
-    return Reach(*tests, tests[1])
+    is_reached, is_cut_off = partial(meets, reached), partial(meets, cut_off)
+    return Reach(is_reached, is_cut_off, is_cut_off)  # all cut-off points count as far from points that reach a goal
 
 
 def _field(
     space: ConfigurationSpace,
     cost_map: CostMap | None,
-    goals: Goals,
-    most: int,
+    goals: Goals,  # fractions of the domain
+    max_cells: int,
     tolerance: float,
-    places: Float[np.ndarray, "places dim"],
+    places: Float[np.ndarray, "places dim"],  # the goals as given: rounding has moved `goals`
 ) -> CostToGoField:
-    # `goals` are fractions of the domain; rounding has moved them from their `places`.
+    # 1. Solve for the lower bound, in the part of the space that paths join to goals.
     reached, cut_off = space.separated(places) if isinstance(space, Separable) else (space, None)
     reach = None if cut_off is None else _reach_of_spaces(reached, cut_off)
-    solver = SlopeSolver(reached, cost_map, goals, most, tolerance, reach)
-    with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
+    solver = SlopeSolver(reached, cost_map, goals, max_cells, tolerance, reach)
+    with tqdm(desc="solve_eikonal", total=max_cells, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
             solver.refine(progress)
         except KeyboardInterrupt:
             if solver.iterate is None:
                 raise
-            message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR has these cells."
+            message = f"Interrupted at {len(solver.mesh.state):,} of {max_cells:,} cells: the PLR has these cells."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
+    # 2. The upper bound, by paths through cells that are proven free.
     program, mesh, domain = solver.program, solver.mesh, space.domain
-    guide = grid_estimate(reached, cost_map, domain.at(goals)) if mesh.dim <= MOST_AXES else None
-    paths, num, nodal_goal = shortest_paths(mesh, program.costs, goals, space), len(mesh.nodes), None
-    if guide is None:
-        likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
-        nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num
-    else:
+    paths = shortest_paths(mesh, program.costs, goals, space)
+    # 3. The estimate at nodes: from a grid or, beyond three axes, by paths through cells that are probably free.
+    guide = nodal_goal = None
+    if mesh.dim <= MOST_AXES:
+        guide = grid_estimate(reached, cost_map, domain.at(goals))
         nodal_estimate = guide(domain.at(mesh.nodes))
+    else:
+        likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
+        num = len(mesh.nodes)
+        nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num  # goals follow the nodes
     if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
         reach = guide.reach(domain)
     return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, reach, guide)
 
 
-# Share of all cells in the first mesh, and its least number: in one cell, flows to a goal in its middle cancel.
-_COARSEST, _FEWEST = 1 / 16, 2
+_COARSEST = 1 / 16  # share of all cells in the first mesh
+_FEWEST = 2  # least number of its cells: in one cell, flows to a goal in its middle cancel
 _REFINED_LOSS = 0.8  # share of the loss (gap) in the cells that are refined together
-# If mixed cells have more than `_LEAKING` of the loss, flows leak through walls. Some cells are then saved for later,
-# unless fewer than `_LAST` of all are left.
-_LEAKING, _LAST = 0.1, 0.01
+_LEAKING = 0.1  # if mixed cells have more than this share of the loss, flows leak through walls: save cells for later
+_LAST = 0.01  # save no cells if at most this share of all is left
 _GROWTH = 1.3, 2.0  # least and largest factor by which a refinement multiplies the number of cells
-# Iterations on the first mesh, on each later mesh, and most iterations at the end on the last mesh.
-_FIRST, _NEXT, _MOST = 100, 20, 1000
+_FIRST = 100  # iterations on the first mesh
+_NEXT = 20  # iterations on each later mesh
+_MOST = 1000  # most iterations at the end on the last mesh
 _FACTORED_FIRST = (20, 40, 80)  # after these iterations of the first solve, penalties are rescaled to fit the flow
 _DETOUR = 16  # largest factor by which a suspected thin wall raises a cell's loss
 _DEEPEST = 13  # most halvings of a cell along an axis, if a query's tables resolve as many
@@ -307,7 +315,8 @@ class SlopeSolver:
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
         self.program = SlopeProgram.on(mesh, space, cost_map, goals)
         self.iterate: Iterate | None = None
-        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)  # state that each mixed cell counts as
+        # The state as which each mixed cell counts: FREE or BLOCKED, or MIXED if it is not known yet.
+        self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)
 
     @property
     def mesh(self) -> Mesh:
@@ -320,35 +329,40 @@ class SlopeSolver:
 
     def refine(self, progress: tqdm) -> None:
         """Solve on finer and finer meshes, then thoroughly on the last one."""
+        # 1. Solve on the coarse mesh.
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
-        parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds
+        most_added = 2**self.mesh.dim - 1  # most cells that a refined cell adds
         while True:
-            marked, room = self._marked(parts, self.iterate)
-            if not len(marked) or room < parts:
+            # 2. Refine the mesh.
+            marked, room = self._marked(most_added, self.iterate)
+            if not len(marked) or room < most_added:
                 break
             coarse = self.mesh
             mesh = self._without_borders(coarse.refined(marked, self.space, room))
             finer = SlopeProgram.on(mesh, self.space, self.cost_map, self.goals)
-            fine = finer.space.mesh
-            # Interpolate function and flow on the finer mesh.
-            space, size = finer.space, len(finer.space.lattice)
+            fine, space, size = finer.space.mesh, finer.space, len(finer.space.lattice)
+            # 3. Interpolate the function at the nodes of the finer mesh. They move into their cells a bit, so that
+            #    the coarse cell around this cell is found, not a neighbor of it across a face.
             inset = 0.5 + (space.lattice[space.node_of % size] - 0.5) * (1 - _INSET)
             x = fine.fractions(space.node_of // size, inset)
             cell = coarse.locate(x)
             values = self.program.space.interpolation(cell, coarse.local(cell, x)) @ self.iterate.values
+            # 4. Take over the mean flow of the coarse cell (the parent) of each open cell.
             parent = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
-            place = np.zeros(len(coarse.state), np.int64)
-            place[coarse.open_cells] = np.arange(len(coarse.open_cells))
-            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent[fine.open_cells]]]
+            open_index = np.zeros(len(coarse.state), np.int64)  # of each open coarse cell, among these
+            open_index[coarse.open_cells] = np.arange(len(coarse.open_cells))
+            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, open_index[parent[fine.open_cells]]]
             iterate = Iterate(values, np.repeat(flow, size, axis=1), self.iterate.inflow)
             progress.update(len(fine.state) - len(coarse.state))
-            if len(fine.state) + parts <= self.max_cells:
+            # 5. Improve the iterate, unless this is the last mesh.
+            if len(fine.state) + most_added <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
-            # Cells that are not new keep their answer (free or blocked) to whether paths pass through.
+            # 6. Cells that are not new keep their answer (free or blocked) to whether paths pass through.
             is_same = (coarse.cells.depth[parent] == fine.cells.depth).all(axis=1)
             self._through = np.where(is_same, self._through[parent], np.int8(CellState.MIXED))
             self.program, self.iterate = finer, iterate
+        # 7. Solve thoroughly on the last mesh.
         self.iterate, has_converged = self.program.solve_thoroughly(self.iterate, _MOST)
         if not has_converged:
             warnings.warn(
@@ -358,7 +372,9 @@ class SlopeSolver:
             )
 
     def _without_borders(self, mesh: Mesh) -> Mesh:
-        # An answer beyond a wall errs by about the size of the domain. Half of all cells are for other errors.
+        # Refine cells that hold both points that reach a goal and points that do not: the answer beyond a wall errs
+        # by about the size of the domain. Large cells come first. Half of the cells that are left are for other
+        # errors.
         while self.reach is not None:
             border = np.flatnonzero(self.reach.is_border(*mesh.cells.fractions))
             border = border[np.argsort(mesh.cells.depth[border].sum(axis=1), kind="stable")]
@@ -369,31 +385,32 @@ class SlopeSolver:
         return mesh
 
     def mesh_without_mixed(self) -> Mesh:
-        # A mixed cell counts as free or blocked, by whether a motion through it is free.
+        """Return the mesh with each mixed cell free or blocked, by whether a motion through the cell is free.
+
+        The answer for a new cell is kept in ``_through``.
+        """
+        # The motion passes the middle of the cell along the gradient of the lower bound, from side to side.
         mesh = self.mesh
-        mixed = np.flatnonzero(mesh.state == CellState.MIXED)
-        new = mixed[self._through[mixed] == CellState.MIXED]
+        new = np.flatnonzero((mesh.state == CellState.MIXED) & (self._through == CellState.MIXED))
         slope = np.zeros((len(mesh.state), mesh.dim))
         slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
         lo, hi = (corner[new] for corner in mesh.boxes)
-        # The motion passes the middle of the cell along the gradient of the lower bound.
         steepest = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
         half = np.divide(slope[new], 2 * steepest, out=np.zeros_like(lo), where=steepest > 0)
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
         self._through[new] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
-    def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, " some"], int]:
-        # Cells to refine, most urgent first, and how many new cells to allow, at most `parts` from each.
+    def _marked(self, most_added: int, iterate: Iterate) -> tuple[Int[np.ndarray, " some"], int]:
+        """Return cells to refine, most urgent first, and how many cells to add, at most ``most_added`` for each."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
-        loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
+        loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)  # of open cells
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
         #    through it saves the detour, so its loss counts more.
-        at_corners = graph_costs(self.mesh_without_mixed(), costs, self.goals, self.space)[
-            mesh.corners[mesh.open_cells]
-        ]
-        is_reached = np.isfinite(at_corners)
-        highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
+        nodal_costs = graph_costs(self.mesh_without_mixed(), costs, self.goals, self.space)
+        at_corners = nodal_costs[mesh.corners[mesh.open_cells]]
+        highest = np.max(at_corners, axis=1, where=np.isfinite(at_corners), initial=-np.inf)
+        least = at_corners.min(axis=1)
         across = costs.of_motions(mesh.widths[mesh.open_cells], mesh.open_cells)
         detour = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
         is_mixed = mesh.state[mesh.open_cells] == CellState.MIXED
@@ -403,18 +420,19 @@ class SlopeSolver:
         # 2. Cells of goals come first if they hide a loss, then cells by their loss.
         is_first = at_goals > loss
         order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")[: np.count_nonzero(loss + is_first)]
-        # 3. Refine most of the loss, but neither too few nor too many cells.
-        num_needed = parts * (np.searchsorted(np.cumsum(loss[order]), _REFINED_LOSS * loss.sum()) + 1)
-        fewest, most = (max(int((growth - 1) * num_cells), parts) for growth in _GROWTH)
+        # 3. Refine most of the loss, but neither too few nor too many cells; no cells at the largest depth.
+        num_needed = most_added * (np.searchsorted(np.cumsum(loss[order]), _REFINED_LOSS * loss.sum()) + 1)
+        fewest, most = (max(int((growth - 1) * num_cells), most_added) for growth in _GROWTH)
         most_splits = min(_DEEPEST, max_axis_depth(mesh.dim, None, 1, False))
-        deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= most_splits
+        is_deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= most_splits
         num_left = self.max_cells - num_cells
         if loss[is_mixed].sum() > _LEAKING * loss.sum() and num_left > _LAST * self.max_cells:
             num_left = int(_REFINED_LOSS * num_left)  # the next flow finds the walls that are still open
-        return mesh.open_cells[order[~deepest]], int(min(max(num_needed, fewest), most, num_left))
+        return mesh.open_cells[order[~is_deepest]], int(min(max(num_needed, fewest), most, num_left))
 
 
-_NUM_SAMPLES, _NUM_OF_MOTION = 8, 33  # numbers of samples of a box, and of a motion
+_NUM_SAMPLES = 8  # in a box
+_NUM_OF_MOTION = 33  # samples of a motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,14 +442,14 @@ class SampledSpace(CheckedSpace):
     seed: int
 
     def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, " n"]:
-        u = sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u
+        u = sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u  # from -1 to 1
         x = lo[:, None] + (hi - lo)[:, None] * (1 + u) / 2
-        free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
-        state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
-        return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
+        is_free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
+        state = np.where(is_free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
+        return np.where(is_free.all(axis=1), CellState.FREE, state).astype(np.int8)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
-        free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
-        return np.asarray(free.all(axis=1))
+        is_free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
+        return np.asarray(is_free.all(axis=1))

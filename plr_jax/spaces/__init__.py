@@ -7,12 +7,7 @@ from plr_jax.spaces._costs import DirectionalCost as DirectionalCost
 from plr_jax.spaces._costs import LipschitzCost as LipschitzCost
 from plr_jax.spaces._costs import cost_bounds as cost_bounds
 from plr_jax.spaces._costs import motion_rates as motion_rates
-from plr_jax.spaces._costs import point_costs as point_costs
 from plr_jax.spaces._costs import pulled as pulled
-from plr_jax.spaces._data_arrays import NO_DATA as NO_DATA
-from plr_jax.spaces._data_arrays import data_array_box as data_array_box
-from plr_jax.spaces._data_arrays import is_data_array as is_data_array
-from plr_jax.spaces._data_arrays import raster_values as raster_values
 from plr_jax.spaces._plane import PlaneSpace as PlaneSpace
 from plr_jax.spaces._raster_cost import RasterCost as RasterCost
 from plr_jax.spaces._rigid_body import RigidBodySpace as RigidBodySpace
@@ -23,6 +18,5 @@ from plr_jax.spaces._space import FreeTest as FreeTest
 from plr_jax.spaces._space import MotionCost as MotionCost
 from plr_jax.spaces._space import SeesBoxes as SeesBoxes
 from plr_jax.spaces._space import Separable as Separable
-from plr_jax.spaces._space import as_states as as_states
 from plr_jax.spaces._space import require_space as require_space
 from plr_jax.spaces._voxels import VoxelSpace as VoxelSpace

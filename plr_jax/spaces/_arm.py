@@ -16,10 +16,11 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import shorter_turn
 from plr_jax.spaces._plane import crosses_walls, near_walls, segment_distances, walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, batches
 
-_BOXES, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
-_MOST_BISECTIONS = 12
+_BOXES = 1 << 14  # boxes handled together, which bounds the memory
+_MOTIONS = 1 << 10  # motions handled together
+_MOST_BISECTIONS = 12  # of a motion
 _SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
@@ -112,9 +113,7 @@ class PlanarArm:
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
-        rows = np.flatnonzero(free)
-        for begin in range(0, len(rows), _MOTIONS):
-            part = rows[begin : begin + _MOTIONS]
+        for part in batches(np.flatnonzero(free), _MOTIONS):
             free[part] = self._are_free(q0[part], shorter_turn(q0[part], q1[part]))
         return free
 
@@ -122,37 +121,43 @@ class PlanarArm:
         """Tell whether boxes of joint angles (radians) are FREE, BLOCKED or MIXED; see :class:`CellState`."""
         center, half = as_boxes(lo, hi, self.dof)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        for begin in range(0, len(center), _BOXES):
-            part = slice(begin, begin + _BOXES)
-            state[part][self._boxes_are_free(center[part], half[part])] = CellState.FREE
+        for part in batches(np.arange(len(center)), _BOXES):
+            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         rows = np.flatnonzero(state == CellState.MIXED)
         rows = rows[~self.is_free(center[rows])]
         state[rows[self._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, " n"]:
-        # Bisect motions until each part is proven free, or the middle of a part is not free.
+        # Bisect motions. A part of a motion is `center` - half to `center` + half, the diagonal of a box: the part is
+        # free if the box is. A motion is not proven free if the center of a part is not free, or parts are left after
+        # the last bisection.
         free = np.ones(len(q0), dtype=bool)
-        owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
+        motion = np.arange(len(q0))  # of each part
+        center, half = q0 + change / 2, change / 2
         for _ in range(_MOST_BISECTIONS):
-            unsure = ~self._boxes_are_free(center, np.abs(half))
-            owner, center, half = owner[unsure], center[unsure], half[unsure]
-            free[owner[~self.is_free(center)]] = False
-            left = free[owner]
-            owner, half = np.tile(owner[left], 2), np.tile(half[left] / 2, (2, 1))
-            center = np.tile(center[left], (2, 1)) + np.repeat([[-1], [1]], left.sum(), axis=0) * half
-        free[owner] = False
+            is_unsure = ~self._boxes_are_free(center, np.abs(half))
+            motion, center, half = motion[is_unsure], center[is_unsure], half[is_unsure]
+            free[motion[~self.is_free(center)]] = False
+            stays = free[motion]
+            motion, half = np.tile(motion[stays], 2), np.tile(half[stays] / 2, (2, 1))
+            center = np.tile(center[stays], (2, 1)) + np.repeat([[-1], [1]], stays.sum(), axis=0) * half
+        free[motion] = False
         return free
 
     def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
+        """Return which boxes of joint angles are proven free."""
+        #     .---.___________         In a box, a link's ends stay in discs around their places at the center. The
+        #    /     \          --.-.    radii, `reaches`, are the sum over joints of half width times largest distance.
+        #   (   o=============( o )   A point between the ends moves no farther than the linear interpolation of both
+        #    \     /___________-'-'    radii. So the convex hull of the discs contains the link.
+        #     '---'
         ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
-        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)  # a polygon around a disc
         free = np.ones(len(center), dtype=bool)
-        for i in reversed(range(self.dof)):
+        for i in reversed(range(self.dof)):  # the last link moves most
             rows = np.flatnonzero(free)
-            # The convex hull of discs around both ends contains the link: a point between the ends moves less than
-            # the linear interpolation of their reaches.
             points = ends[rows, i : i + 2, None] + reaches[rows, i : i + 2, None, None] * rim
             hulls: Any = shapely.convex_hull(shapely.linestrings(points.reshape(len(rows), 2 * _SIDES, 2)))
             free[rows] = shapely.covers(self.workspace.free_space, hulls)
@@ -163,6 +168,8 @@ class PlanarArm:
 
     def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
         """Return whether boxes of joint angles surely hold no free configuration."""
+        # They hold none if a link crosses a wall wherever its ends are in their discs; if a wall is so near to a
+        # point of a link that the link covers it wherever the point moves; or if two links surely overlap.
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):
@@ -189,10 +196,12 @@ class PlanarArm:
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
     def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
+        # `reshape` also makes an empty table if there are no pairs.
         distances = [segment_distances(ends[:, i : i + 2], ends[:, k : k + 2]) for i, k in self._link_pairs]
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
         """Bound how far two links move relative to each other in boxes of joint angles, given half widths."""
+        # As seen from link i, only joints i + 1 to k move link k, and its end moves farthest.
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

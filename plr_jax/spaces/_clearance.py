@@ -11,15 +11,15 @@ from jaxtyping import Bool, Float, Int8
 from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
+from plr_jax.spaces._space import CellState, Configurations, MotionCost, as_boxes, as_motions, batches, precision_of
 
-_BATCH, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
-_MOST_BISECTIONS = 10
+_BATCH = 1 << 14  # configurations or boxes handled together, which bounds the memory
+_MOTIONS = 1 << 10  # motions handled together
+_MOST_BISECTIONS = 10  # of a motion
 _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the last place
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
-Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 
 
@@ -99,9 +99,7 @@ class ClearanceSpace:
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
-        rows = np.flatnonzero(free)
-        for begin in range(0, len(rows), _MOTIONS):
-            part = rows[begin : begin + _MOTIONS]
+        for part in batches(np.flatnonzero(free), _MOTIONS):
             free[part] = self._are_free(q0[part], self.domain.difference(q1[part], q0[part]))
         return free
 
@@ -111,51 +109,57 @@ class ClearanceSpace:
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
         state = np.where(outside.any(axis=1), CellState.BLOCKED, CellState.MIXED).astype(np.int8)
-        rows = np.flatnonzero(state == CellState.MIXED)
-        for begin in range(0, len(rows), _BATCH):
-            part = rows[begin : begin + _BATCH]
+        for part in batches(np.flatnonzero(state == CellState.MIXED), _BATCH):
             state[part] = self._classify(lo[part], hi[part])
         return state
 
     def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, " n"]:
+        # 1. The part of each box in the domain. A box that leaves the domain, by more than rounding, is not free.
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
         beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
         center, half = (inner_lo + inner_hi) / 2, (inner_hi - inner_lo) / 2
         clearance = self._clearances(center)
-        # Check the constants against the clearance at the middle of a face, cycling through the axes.
+        # 2. Check the constants against the clearance at the middle of a face: box by box along other axes, and on
+        #    the other side after each cycle of axes.
         row = np.arange(len(center))
         axis, side = row % self.domain.dim, 1 - 2 * (row // self.domain.dim % 2)
         face = center.copy()
         face[row, axis] += side * half[row, axis]
         self._require_consistent(center, clearance, face, self._clearances(face))
-        reach, rounding = half @ self.lipschitz, self._rounding(clearance, center)
+        # 3. In the box, the clearance differs from that of the center by at most `reach`.
+        reach = half @ self.lipschitz
+        rounding = self._rounding(clearance, center)
         state = np.where((clearance - reach >= rounding) & ~leaves, CellState.FREE, CellState.MIXED)
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, " n"]:
-        # Bisect motions until each part is proven free, blocked, or too short.
+        # Bisect motions. An interval of a motion, [begin, begin + width] in shares of the motion, has the clearances
+        # `before` and `after` at its ends. If the clearance can change by r in it, then at its share t
+        #   clearance >= max(before - t * r, after - (1 - t) * r) >= (before + after - r) / 2.
+        # Intervals are halved until this bound proves them free. A motion is not proven free if a middle has less
+        # than the least clearance, or intervals are left after the last bisection.
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
         free = (before >= 0) & (after >= 0)
         reach = np.abs(change) @ self.lipschitz
         rounding = self._rounding(np.maximum(before, after), np.abs(q0) + np.abs(change))
         least = np.maximum(2.0**-_MOST_BISECTIONS * reach, rounding)
-        owner, at, width = np.arange(len(q0)), np.zeros(len(q0)), 1.0
+        motion = np.arange(len(q0))  # of each interval
+        begin, width = np.zeros(len(q0)), 1.0
         for bisections in range(_MOST_BISECTIONS + 1):
-            # Within an interval, the clearance is at least (before + after - reach) / 2.
-            unsure = free[owner] & (before + after - width * reach[owner] < 2 * rounding[owner])
-            owner, at, before, after = owner[unsure], at[unsure], before[unsure], after[unsure]
-            if not len(owner) or bisections == _MOST_BISECTIONS:
+            is_unsure = free[motion] & (before + after - width * reach[motion] < 2 * rounding[motion])
+            motion, begin, before, after = (row[is_unsure] for row in (motion, begin, before, after))
+            if not len(motion) or bisections == _MOST_BISECTIONS:
                 break
             width /= 2
-            begin, middle = (q0[owner] + t[:, None] * change[owner] for t in (at, at + width))
+            start, middle = (q0[motion] + t[:, None] * change[motion] for t in (begin, begin + width))
             between = self._clearances(middle)
-            self._require_consistent(begin, before, middle, between)
-            free[owner[between < least[owner]]] = False
-            owner, at = np.tile(owner, 2), np.append(at, at + width)
+            self._require_consistent(start, before, middle, between)
+            free[motion[between < least[motion]]] = False
+            motion, begin = np.tile(motion, 2), np.append(begin, begin + width)
             before, after = np.append(before, between), np.append(between, after)
-        free[owner] = False
+        free[motion] = False
         return free
 
     def _clipped(self, q: Configurations) -> Configurations:
@@ -165,8 +169,7 @@ class ClearanceSpace:
         """Return clearances at configurations moved into the domain; ``ValueError`` if one is not finite."""
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
-        for begin in range(0, len(q), _BATCH):
-            part = slice(begin, begin + _BATCH)
+        for part in batches(np.arange(len(q)), _BATCH):
             clearance[part] = as_values("clearance", self.clearance(q[part]), len(q[part]))
         if not np.isfinite(clearance).all():
             i = np.isfinite(clearance).argmin()
@@ -174,6 +177,7 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
+        # A bound of the rounding error of clearances: of their computation, and of the configurations.
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property
@@ -198,6 +202,7 @@ class ClearanceSpace:
 
 def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:
     """Advise how to raise Lipschitz constants so that a ``change`` of the configuration explains a ``difference``."""
+    # The constants L explain the difference if sum over axes of L * change >= difference.
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

@@ -26,9 +26,9 @@ def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray],
         raise ValueError(f"{expected}, got {values} {place}.")
 
 
-# A box has pulls only if they say more than the bounds of the cost map: ``least`` must exceed this share of ``most``,
-# and the cost that pulls save must be below ``least`` by more than this share of ``most``.
-_LEAST_RATIO, _LEAST_MARGIN = 0.25, 0.02
+# A box has pulls only if they say more than the bounds of the cost map.
+_LEAST_RATIO = 0.25  # ``least`` must exceed this share of ``most``
+_LEAST_MARGIN = 0.02  # the cost that pulls save must be below ``least`` by more than this share of ``most``
 
 
 @runtime_checkable
@@ -135,7 +135,8 @@ class LipschitzCost:
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Return lower and upper bounds of the factor of the motion cost over boxes, from its values at centers."""
         middle, rounding = self._factors((lo + hi) / 2)
-        # Largest distance of a point of the box from its rounded center.
+        # In the box, the factor differs from the factor at the center by at most lipschitz * radius, the largest
+        # distance of a point of the box from its rounded center.
         radius = np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
         reach = self.lipschitz * radius
         return np.maximum((1 - rounding) * middle - reach, self.least), (1 + rounding) * middle + reach
@@ -149,6 +150,7 @@ def cost_bounds(
     A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
     ``dq`` with two vectors per box, the pulls, ``(2, n, dof)``.
     """
+    # 1. Bounds that hold in all directions.
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
         raise ValueError(f"A cost map's bounds must be two arrays with one number per box, got {shortened(bounds)}.")
@@ -157,6 +159,7 @@ def cost_bounds(
     _require((lower > 0) & (lower <= upper) & (upper < np.inf), expected, [lower, upper], [lo, hi])
     if not isinstance(cost_map, DirectionalCost):
         return lower, upper, None
+    # 2. Pulls, and bounds of the rest of the cost.
     if [weight for _, weight in motion_cost.blocks] != [1]:
         raise ValueError(f"A DirectionalCost needs a space whose motion_cost is a length, got {motion_cost}.")
     pulls = cost_map.pulls(lo, hi)
@@ -171,14 +174,16 @@ def cost_bounds(
     least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
     expected = "Bounds of a DirectionalCost's pulls must be finite with least nowhere above most"
     _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
-    # The pulls save at most this cost per unit of length: the distance from 0 to the segment between both vectors.
+    # 3. Use them if they are tight enough. Pulls a and b save at most this cost per unit of length: the distance of 0
+    #    from the segment between them, whose nearest point is a + t * (b - a), with t = -a . (b - a) / |b - a|**2
+    #    clipped to [0, 1].
     change = second - first
     square = np.sum(change * change, axis=1)
     t = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
-    size = np.linalg.norm(first + np.clip(t, 0.0, 1.0)[:, None] * change, axis=1)
-    use = (least > _LEAST_RATIO * most) & (least - size > _LEAST_MARGIN * most)
-    pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
-    return np.where(use, least, lower), np.where(use, most, upper), pulls
+    saved = np.linalg.norm(first + np.clip(t, 0.0, 1.0)[:, None] * change, axis=1)
+    is_used = (least > _LEAST_RATIO * most) & (least - saved > _LEAST_MARGIN * most)
+    pulls = np.where(is_used[:, None], np.stack([first, second]), 0.0)
+    return np.where(is_used, least, lower), np.where(is_used, most, upper), pulls
 
 
 def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:

@@ -9,13 +9,15 @@ from jaxtyping import Float
 from plr_jax._arrays import as_numbers, filled_with_inf
 from plr_jax.geometry.box import Box
 
-NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
-_X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
+NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray: values of cells without data
+_X_NAMES = {"x", "lon", "longitude", "easting"}
+_Y_NAMES = {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
 _UNEVEN = 1e-3  # largest difference of two steps between coordinates, as a share of a step
 
 
 def is_data_array(raster: Any) -> bool:
+    # By its attributes: xarray may not be installed.
     return all(hasattr(raster, name) for name in ("dims", "coords", "attrs"))
 
 
@@ -31,6 +33,7 @@ def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
 
 def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     """Return the box that the cells fill, and slices that order the cells by ascending coordinates."""
+    # 1. Check the names and the units of the dimensions.
     if len(raster.dims) != 2:
         raise ValueError(f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for one.')
     if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
@@ -45,6 +48,7 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
             "rioxarray by raster.rio.reproject(raster.rio.estimate_utm_crs())."
         )
         warnings.warn(message, UserWarning, stacklevel=4)
+    # 2. Along x, then y: coordinates are centers of cells, half a step from their sides.
     lo, hi, slices = [], [], []
     for axis in raster.dims[::-1]:
         along = as_numbers(f"coordinates {axis!r}", raster[axis].values, "numbers")
@@ -56,7 +60,7 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
         lo.append(along.min() - side / 2)
         hi.append(lo[-1] + side * len(along))
         slices.append(slice(None, None, -1 if along[0] > along[-1] else None))
-    return Box(lo, hi), (slices[1], slices[0])
+    return Box(lo, hi), (slices[1], slices[0])  # slices of rows (y) come first
 
 
 def _is_geographic(attributes: dict[str, Any]) -> bool:

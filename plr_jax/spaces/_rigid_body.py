@@ -16,14 +16,13 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body, side_offsets
 from plr_jax.spaces._plane import BodySpace, Booleans, PlaneSpace, near_walls, walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes
+from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
 
 # Half turns below this are bounded by a polygon around the swept body, larger ones by its circumscribed circle.
 _WIDEST_ARC = math.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
-Turns: TypeAlias = Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,10 @@ class RigidBodySpace(BodySpace):
         return MotionCost((((0, 1), 1.0), ((2,), weight)))
 
     def separated(self, q: ArrayLike) -> "tuple[RigidBodySpace, RigidBodySpace | None]":
-        """Divide the space by the polygons of free space that hold the body at ``q``, and all others, or None."""
+        """Return the space of the polygons of free space that contain the body at ``q``, and that of other polygons.
+
+        The second is None if there are no other polygons, or if the body might pass between touching obstacles.
+        """
         parts, rest = PlaneSpace(self.workspace).separated(np.asarray(q)[:, :2])
         # A segment may pass lengthwise where obstacles touch.
         if rest is None or self.robot.breadth == 0 or self.robot.inscribed_radius < 0:
@@ -73,26 +75,35 @@ class RigidBodySpace(BodySpace):
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        test, moves = motion_test(self.workspace, self.robot), _motion_bounds(half, 0.0)
-        has_room = test.has_room(center[:, 0], center[:, 1], moves)
+        # 1. A body far from all walls is free. This test is fast.
+        has_room = motion_test(self.workspace, self.robot).has_room(*center[:, :2].T, _motion_bounds(half, 0.0))
         state[has_room] = CellState.FREE
+        # 2. Enclose what the body covers in the other boxes, batch by batch.
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
-        for begin in range(0, len(unsure), size):
-            part = unsure[begin : begin + size]
+        for part in batches(unsure, size):
             state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
+        # 3. The rest may be blocked.
         unsure = unsure[state[unsure] == CellState.MIXED]
         state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
         """Return which boxes of positions and headings are proven free."""
+        # 1. Where headings change much, keep the circumscribed circle away from walls.
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
-        narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
+        narrow = np.flatnonzero(free & (half[:, 2] < _WIDEST_ARC))
+        wide = np.flatnonzero(free & (half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
         free[wide] = ~near_walls(self.workspace, positions, self.robot.circumscribed_radius)
-        # Enclose all that the core covers in a narrow box by a convex polygon: the arc of a turning vertex lies in
-        # the triangle of the reference point and the arc's ends, moved out until their chord is tangent to the arc.
+        # 2. Else enclose all that the core covers by a convex polygon, the hull of triangles, moved by all positions.
+        #    A vertex v that turns by up to h to both sides stays in the triangle of the reference point r and both
+        #    ends of its arc, moved out by 1 / cos(h): the chord of these tips is then tangent to the arc at v.
+        #        tip ---- v ---- tip
+        #           \           /
+        #            \  h | h  /
+        #             \   |   /
+        #               \ r /
         center, half = center[narrow], half[narrow]
         reference = center[:, None, :2]
         ends = np.concatenate([_placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
@@ -106,18 +117,22 @@ class RigidBodySpace(BodySpace):
 
     def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
         """Return which boxes of positions and headings surely hold no free configuration."""
+        # 1. A box is not blocked if its center is free.
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
-        # Scale a convex body about one of its points by 1 - m / depth of that point: the result lies within the body
-        # eroded by m. If no point of the body moves farther than m, the moved body still covers the eroded body.
+        # 2. Scale a convex body about one of its points by 1 - m / depth of that point: the result lies within the
+        #    body eroded by m. If no point of the body moves farther than m, the moved body still covers the eroded
+        #    body.
         middle, depth = self._deepest_point
         erosion = _motion_bounds(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
-        small = erosion < depth
-        scale = (1 - erosion[small] / depth)[:, None, None]
-        eroded = _placed(middle + scale * (self.robot.core - middle), center[small])
+        is_small = erosion < depth
+        scale = (1 - erosion[is_small] / depth)[:, None, None]
+        eroded = _placed(middle + scale * (self.robot.core - middle), center[is_small])
         hit[rows] = False
-        hit[rows[small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
+        hit[rows[is_small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
+        # 3. A wall may be so near to a point of the body that the disc around the point, which moves with it, always
+        #    covers it.
         for point, depth in zip(*self._probes, strict=True):
             pending = np.flatnonzero(~hit[rows])
             position = _placed(point[None], center[pending])[:, 0]
@@ -149,10 +164,12 @@ class RigidBodySpace(BodySpace):
 
 def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, " n"]:
     """Bound how far a body's point, ``radius`` from its reference point, moves in boxes of these half widths."""
+    # The reference point moves by at most half a diagonal, and a turn by h moves the point by the chord
+    # 2 * radius * sin(h / 2).
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
-def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
+def _placed(points: Points, q: Boxes, turn: Float[np.ndarray, " n"] | float = 0.0) -> Float[np.ndarray, "n k 2"]:
     """Return the positions of a body's points at configurations ``q``, with headings increased by ``turn``."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]

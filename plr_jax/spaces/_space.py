@@ -1,12 +1,13 @@
 """Protocols of configuration spaces: a domain, the cost of a motion, and tests of what is free."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
 from plr_jax._arrays import as_booleans, as_finite, as_points, shortened
 from plr_jax._types import ArrayLike
@@ -40,6 +41,7 @@ class MotionCost:
     blocks: tuple[tuple[tuple[int, ...], float], ...]
 
     def __init__(self, blocks: Any):
+        # 1. Pairs of axes and a weight. Anything else fails the next test.
         try:
             pairs = [(tuple(axes), weight) for axes, weight in blocks]
         except (TypeError, ValueError):
@@ -49,6 +51,7 @@ class MotionCost:
         if not are_integers or not all(axes for axes, _ in pairs):
             expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
             raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
+        # 2. Each axis once, and positive weights.
         if not listed or sorted(listed) != list(range(len(listed))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
         weight_of = partial(as_finite, "The weight of a block", positive=True)
@@ -74,9 +77,9 @@ class MotionCost:
         if domain.dim != self.dof:
             raise ValueError(f"A cost of {self.dof} axes needs a domain of {self.dof} axes, got {domain}.")
         q0, q1 = as_motions(q0, q1, self.dof)
-        fine = (np.isfinite(q0) & np.isfinite(q1)).all(axis=1)
+        is_finite = (np.isfinite(q0) & np.isfinite(q1)).all(axis=1)
         costs = np.where((np.isnan(q0) | np.isnan(q1)).any(axis=1), np.nan, np.inf)
-        costs[fine] = self.norm(domain.difference(q1[fine], q0[fine]))
+        costs[is_finite] = self.norm(domain.difference(q1[is_finite], q0[is_finite]))
         return costs
 
     def norm(self, change: Configurations) -> Float[np.ndarray, " n"]:
@@ -155,7 +158,13 @@ class SeesBoxes(Protocol):
         ...
 
 
+def batches(rows: Int[np.ndarray, " n"], size: int) -> Iterator[Int[np.ndarray, " _"]]:
+    """Yield consecutive batches of at most ``size`` rows; no batch if there are no rows."""
+    return (rows[begin : begin + size] for begin in range(0, len(rows), size))
+
+
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
+    """Check the starts and ends of motions and return them as arrays, ``(n, dof)`` each."""
     q0, q1 = as_points("q0", q0, dof), as_points("q1", q1, dof)
     if len(q0) != len(q1):
         raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
@@ -167,15 +176,16 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
     lo, hi = as_points("lo", lo, dof), as_points("hi", hi, dof)
     if len(lo) != len(hi):
         raise ValueError(f"Boxes need as many lower corners as upper ones, got {len(lo)} and {len(hi)}.")
-    fine = (np.isfinite(hi - lo) & (lo <= hi)).all(axis=1)
-    if not fine.all():
-        i = fine.argmin()
+    is_fine = (np.isfinite(hi - lo) & (lo <= hi)).all(axis=1)
+    if not is_fine.all():
+        i = is_fine.argmin()
         got = f"{lo[i].tolist()} and {hi[i].tolist()} for box {i}"
         raise ValueError(f"Boxes must have finite corners with hi nowhere below lo, got {got}.")
     return lo + (hi - lo) / 2, (hi - lo) / 2
 
 
 def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, " n"]:
+    """Check the states of ``n`` boxes that a space's ``classify`` returned, and return them as an array."""
     answer = np.asarray(states)
     if answer.shape != (n,) or not np.isin(answer, list(CellState)).all():
         raise ValueError(f"classify must return one CellState per box, shape ({n},), got {shortened(states)}.")
@@ -206,6 +216,7 @@ class CheckedSpace:
 
 
 def require_space(space: object) -> None:
+    """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose domain and motion cost agree."""
     if isinstance(space, type) or not isinstance(space, FreeTest):
         raise ValueError(
             "space must be a configuration space with a domain, a motion_cost and is_free, such as "

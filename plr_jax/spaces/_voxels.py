@@ -17,7 +17,7 @@ from plr_jax.geometry.voxels import VoxelGrid
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Booleans = Bool[np.ndarray, "n"]
-_LEAST_RADIUS = 1e3  # in tolerances
+_LEAST_RADIUS = 1e3  # of a ball, in tolerances
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -47,11 +47,10 @@ class VoxelSpace:
     def __init__(self, free: ArrayLike, bounds: Box | ArrayLike | None = None, radius: float | int = 0.0):
         set_fields(self, grid=VoxelGrid.of(free, bounds), radius=as_finite("radius", radius))
         least, most = _LEAST_RADIUS * self.tolerance, self.domain.width.min() / 2
-        if 0 < self.radius < least:
-            expected = f"0 for a point, or at least {least:.2g} in {self.domain}"
-            raise ValueError(f"radius must be {expected}, got {self.radius:g}.")
-        if self.radius > most:
+        if 0 < self.radius < least or self.radius > most:
             expected = f"at most {most:g}, for the ball to fit into {self.domain}"
+            if self.radius < least:
+                expected = f"0 for a point, or at least {least:.2g} in {self.domain}"
             raise ValueError(f"radius must be {expected}, got {self.radius:g}.")
 
     def __repr__(self) -> str:
@@ -83,7 +82,7 @@ class VoxelSpace:
         q = as_points("q", q, self.grid.dim)
         free = np.isfinite(q).all(axis=1)
         x = q[free].T
-        if self.radius == 0:
+        if self.radius == 0:  # not all voxels that contain the point are blocked
             below, above = self.grid.numbers(x)
             free[free] = self.grid.num_blocked(below, above) < np.prod(above - below + 1, axis=0)
         else:
@@ -97,17 +96,21 @@ class VoxelSpace:
         between these voxels. A box without extent along an axis, in a face of a blocked voxel, is not FREE either.
         """
         as_boxes(lo, hi, self.grid.dim)
+        # 1. The range of voxels whose interior a box meets: above its lower corner, below its upper corner.
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
-        (_, above), (below, _) = self.grid.numbers(lo), self.grid.numbers(hi)
+        _, above = self.grid.numbers(lo)
+        below, _ = self.grid.numbers(hi)
         first, last = np.minimum(above, below), np.maximum(above, below)  # swapped for a box without extent on a face
         num, num_blocked = np.prod(last - first + 1, axis=0), self.grid.num_blocked(first, last)
         state = np.full(len(num), CellState.MIXED, np.int8)
         state[num_blocked == num] = CellState.BLOCKED
         free = np.flatnonzero(num_blocked == 0)
+        # 2. For a point, these counts decide, but for contacts of blocked voxels.
         if self.radius == 0:
             state[free[~self.grid.touches_contact(lo[:, free], hi[:, free])]] = CellState.FREE
             return state
-        # Margins of half the tolerance cover rounding errors.
+        # 3. For a ball, a box is free if no blocked voxel is near to any of its points, and blocked if a voxel is
+        #    near to all of them (corners swapped). Margins of half the tolerance cover rounding errors.
         near, forbidden = (self.radius - margin * self.tolerance for margin in (0.5, 1.5))
         state[free[~blocked_within(self.grid, lo[:, free], hi[:, free], near)]] = CellState.FREE
         mixed = np.flatnonzero(state == CellState.MIXED)
@@ -130,12 +133,17 @@ class VoxelSpace:
         return free
 
     def separated(self, q: ArrayLike) -> "tuple[VoxelSpace, VoxelSpace | None]":
-        """Divide the space into what free voxels join to positions ``q`` through faces, and the rest, or None."""
+        """Return the space of free voxels that faces join to positions ``q``, and the space of other free voxels.
+
+        The second is None if there are no other free voxels, or if no voxel is joined to ``q``.
+        """
+        # 1. The regions of all free voxels that contain a position: 2**dim voxels, some equal, around each position.
         labeled: Any = ndimage.label(self.grid.padded)
         region = labeled[0]
         below, above = self.grid.numbers(as_points("q", q, self.grid.dim).T)
         voxels = (np.where(ends, above.T, below.T) for ends in product((False, True), repeat=self.grid.dim))
         regions = [region[tuple(voxel.T)] for voxel in voxels]
+        # 2. The free voxels of these regions; 0 is the region of blocked voxels.
         is_joined = np.isin(region, np.setdiff1d(regions, 0))[(slice(1, -1),) * self.grid.dim]
         if not is_joined.any() or not (rest := self.free & ~is_joined).any():
             return self, None
@@ -150,13 +158,16 @@ class VoxelSpace:
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:
             return np.zeros(len(q), bool)
-        x, (lo, hi) = q.T, (np.asarray(end, np.float64).T for end in (lo, hi))
+        lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
+        # 1. The free voxels that the box touches fill a box: their range has no blocked voxel.
         first, last = self.grid.free_range(self.grid.numbers(lo)[0], self.grid.numbers(hi)[1])
         sees = np.all(first <= last, axis=0) & (self.grid.num_blocked(first, last) == 0)
+        # 2. The point lies in that range and in the given box: voxel k has the faces number k and k + 1.
         for axis, faces in enumerate(self.grid.faces):
-            sees &= np.maximum(lo[axis], faces[first[axis]]) <= x[axis]
-            sees &= x[axis] <= np.minimum(hi[axis], faces[last[axis] + 1])
+            sees &= np.maximum(lo[axis], faces[first[axis]]) <= q[:, axis]
+            sees &= q[:, axis] <= np.minimum(hi[axis], faces[last[axis] + 1])
+        # 3. It does not lie on a contact.
         rows = np.flatnonzero(sees & np.isfinite(q).all(axis=1))
         sees[:] = False
-        sees[rows] = ~self.grid.touches_contact(x[:, rows], x[:, rows])
+        sees[rows] = ~self.grid.touches_contact(q[rows].T, q[rows].T)
         return sees

@@ -28,7 +28,9 @@ Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
-MAX_LATTICE = 2**8  # tables have room for all corners of cells if there are at most so many, else for half
+# If a grid has at most so many inner cell corners, each of them counts as a possible convex corner, and sight tests
+# use tables of crossed cells. In larger grids, convex corners are listed: by default up to half of all corners.
+MAX_LATTICE = 2**8
 
 
 def margin(shape: Shape, dtype: Any) -> float:
@@ -37,7 +39,7 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    # Each point, moved into the first and the last free cell of up to four around it; and whether any is free.
+    """Return each point as it lies in the first and the last free cell around it, and whether any cell is free."""
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -48,6 +50,9 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
     """Return whether segments between points inside free cells cross none of the ``blocked`` cells (packed bits)."""
+    # In each row of cells, a segment crosses the columns from `first` to `last`. In a word of 32 columns these are
+    # the bits from `begin` to `end`: all ones shifted up to `begin`, and those shifted down to `end`.
+    #   begin = 2, end = 5:   ...11111100 & ...00111111 = ...00111100
     hit, all_ones = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
@@ -64,24 +69,31 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield for each row the first and last column within ``slack`` of each segment, and whether it meets the row."""
+    """Yield, for each row, the first and the last column of each segment, and whether the segment meets the row.
+
+    The part of a segment in the row is extended by ``slack`` columns at both ends. ``xp`` is NumPy or ``jax.numpy``.
+    """
+    # The segment is at y0 + t * dy, with t from 0 to 1. It crosses the line below row k at t = (k - y0) / dy, clipped
+    # to [0, 1]: equal values at both lines of a row mean that the segment misses the row. A segment that goes down
+    # crosses the upper line first.
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
     # A tiny slope for level segments makes all their length lie in their row.
     inverse = 1 / xp.where(dy == 0, 1e-30, dy)
-    at = xp.clip(-y0 * inverse, 0, 1)
-    x_at = x0 + dx * at
+    t_below = xp.clip(-y0 * inverse, 0, 1)
+    x_below = x0 + dx * t_below
     for row in range(h):
-        until = xp.clip((row + 1 - y0) * inverse, 0, 1)
-        x_until = x0 + dx * until
-        first = xp.clip(xp.floor(xp.minimum(x_at, x_until) - slack), 0, w - 1)
-        last = xp.clip(xp.floor(xp.maximum(x_at, x_until) + slack), 0, w - 1)
-        yield first, last, at != until
-        at, x_at = until, x_until
+        t_above = xp.clip((row + 1 - y0) * inverse, 0, 1)
+        x_above = x0 + dx * t_above
+        first = xp.clip(xp.floor(xp.minimum(x_below, x_above) - slack), 0, w - 1)
+        last = xp.clip(xp.floor(xp.maximum(x_below, x_above) + slack), 0, w - 1)
+        yield first, last, t_below != t_above
+        t_below, x_below = t_above, x_above
 
 
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, " words"]) -> Bool[Array, "n m"]:
+    """Return which segments cross no blocked cell, by a table of :func:`crossed_cells`."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
@@ -96,6 +108,7 @@ def lattice(shape: Shape) -> Float[np.ndarray, "corners 2"]:
 
 
 def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
+    """Return the centers ``(x, y)`` of all cells, row by row."""
     rows, columns = np.indices(shape).reshape(2, -1)
     return np.stack([columns, rows], axis=1) + 0.5
 
@@ -117,11 +130,13 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     #   +---+-/-+---+       If the segment is level or upright, both ends also move to its left, into the cells there.
     #   |   |/  |   |
     #   +---a---+---+
-    a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
+    a = (cell_centers(shape) if from_centers else lattice(shape))[:, None]
+    b = lattice(shape)[None]
     along = b - a
     left = np.where((along == 0).any(axis=-1, keepdims=True), along[..., ::-1] * [-1, 1], 0)
     nudge = 1e-3 / max(shape)
     a, b = a + nudge * (along + left), b - nudge * (along - left)
+    # Bits of cells, `(n, corners, h, w)`, then packed into words.
     bits = np.zeros((*along.shape[:2], *shape), bool)
     for row, (first, last, is_crossed) in enumerate(_columns(np, shape, nudge / 1e3, a, b)):
         column = np.arange(shape[1])
@@ -133,6 +148,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
+    # The one of two ends (see `Ends`) that lies towards x.
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -142,7 +158,7 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
 class Corners:
     """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend."""
 
-    free: Bool[Array, "*maps h w"]
+    free: Bool[Array, "*maps h w"]  # padded to two rows and columns or more
     index: Int32[Array, "*maps corners"]  # number of a point of :func:`lattice`
     is_convex: Bool[Array, "*maps corners"]  # False for padding
 
@@ -157,14 +173,19 @@ class Corners:
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Return, for each corner, a point close to it in the cell opposite to the blocked one."""
+        #   +---+---+    A corner (o) with one blocked cell (#) around it. Along each axis, blocked cells before it
+        #   |   | x |    minus blocked cells after it, summed over both rows or columns, are 1 or -1: the direction
+        #   +---o---+    `away` from the blocked cell to x. Here both are 1. Corners that are not convex may have the
+        #   | # |   |    sum 0; any point inside a cell will do for them.
+        #   +---+---+
         blocked = (~self.free).astype(dtype)
         to_right, to_upper = blocked[:, :-1] - blocked[:, 1:], blocked[:-1] - blocked[1:]
         away = to_right[:-1] + to_right[1:], to_upper[:, :-1] + to_upper[:, 1:]
-        # Without a convex corner the sum may be 0; any point inside a cell will do.
         away = jnp.where(jnp.stack(away, axis=-1) < 0, -1, 1).reshape(-1, 2)[self.index]
         return self.points(dtype) + margin(self.free.shape, dtype) * away.astype(dtype)
 
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, " n"]:
+        # Whether the straight segment between each pair of points is free.
         return is_unobstructed(
             pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
         )
@@ -183,11 +204,14 @@ class Corners:
     def lengths(self, dtype: jnp.dtype) -> Float[Array, "corners corners"]:
         """Return the matrix of distances between convex corners that see each other; ``inf`` for all other pairs."""
         if self._is_lattice:
-            left, blocked = crossed_cells(self.free.shape, from_centers=False), pack(~self.free.reshape(1, -1))[0]
-            seen = are_unobstructed(left, blocked) | are_unobstructed(left.swapaxes(1, 2), blocked)
+            # Entry (i, j) of the table holds the cells on the left of grid lines on the way from i to j. On the way
+            # from j to i, the left is the other side.
+            crossed = crossed_cells(self.free.shape, from_centers=False)
+            blocked = pack(~self.free.reshape(1, -1))[0]
+            seen = are_unobstructed(crossed, blocked) | are_unobstructed(crossed.swapaxes(1, 2), blocked)
         else:
-            pulled = self._inset_points(dtype)
-            seen = is_unobstructed(pack(~self.free), self.free.shape, pulled[:, None], pulled[None])
+            inset = self._inset_points(dtype)
+            seen = is_unobstructed(pack(~self.free), self.free.shape, inset[:, None], inset[None])
         seen &= self.is_convex[None] & self.is_convex[:, None] & ~jnp.eye(len(self.index), dtype=bool)
         points = self.points(dtype)
         return jnp.where(seen, distance(points[:, None], points[None]), jnp.inf)
@@ -213,27 +237,33 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 
 
 @jax.custom_jvp
-def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
-    """Return each corner's distance to the goal, from lengths between corners and straight to the goal (``seen``)."""
+def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
+    """Return each corner's distance to the goal, from lengths between corners and of straight segments to the goal.
 
+    ``straight`` is ``inf`` for a corner that does not see the goal. The gradient with respect to ``lengths`` is 0:
+    they depend on the map alone.
+    """
+
+    # The Bellman-Ford algorithm, for all corners at once: a round extends paths by one corner.
     def relaxed(state):
         old, _ = state
         new = jnp.minimum(old, jnp.min(lengths + old[None], axis=-1))
         return new, jnp.any(new < old)
 
-    return lax.while_loop(lambda state: state[1], relaxed, (seen, jnp.array(True)))[0]
+    return lax.while_loop(lambda state: state[1], relaxed, (straight, jnp.array(True)))[0]
 
 
 @relax_from_seen.defjvp
 def _(primals, tangents):
-    # The gradient of a corner's distance is that of the corner at the goal's end of its path: follow the successors.
-    lengths, seen = primals
-    through = relax_from_seen(lengths, seen)
-    corners = jnp.arange(len(seen))
-    onward = jnp.where(seen <= through, corners, jnp.argmin(lengths + through[None], axis=1))
-    for _ in range(len(seen).bit_length()):
+    # The gradient of a corner's distance is that of the corner at the goal's end of its path. Pointer doubling finds
+    # that corner from the next corners: paths have at most as many corners as there are.
+    lengths, straight = primals
+    total = relax_from_seen(lengths, straight)
+    corners = jnp.arange(len(straight))
+    onward = jnp.where(straight <= total, corners, jnp.argmin(lengths + total[None], axis=1))
+    for _ in range(len(straight).bit_length()):
         onward = onward[onward]
-    return through, jnp.where(jnp.isfinite(through), tangents[1][onward], 0)
+    return total, jnp.where(jnp.isfinite(total), tangents[1][onward], 0)
 
 
 @pytree
@@ -249,10 +279,11 @@ class CornerPaths:
         lengths = corners.lengths(goal.dtype)
         (ends,), (is_free,) = inside_free_cells(corners.free, goal[None])
         seen = corners.seen_from(ends[None])[0] & is_free & corners.is_convex
-        from_goal = _length(seen, goal[None], corners.points(goal.dtype))
-        return cls(corners, relax_from_seen(lengths, from_goal), goal)
+        straight = _length(seen, goal[None], corners.points(goal.dtype))
+        return cls(corners, relax_from_seen(lengths, straight), goal)
 
     def cells(self) -> Float[Array, "h w"]:
+        # The distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
         return self._distance(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
 
@@ -261,7 +292,8 @@ class CornerPaths:
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
     def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
-        # The least of the straight segment to the goal, and of the paths through each visible corner.
+        # The distance of points that see the corners `seen`: the least of the straight segment to the goal, and of
+        # the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
@@ -278,7 +310,7 @@ class CornerPairs:
     """The shortest paths between any two points, by way of convex corners."""
 
     corners: Corners
-    between: Float[Array, "*maps corners corners"]
+    between: Float[Array, "*maps corners corners"]  # shortest paths between corners; 0 from a corner to itself
 
     @classmethod
     def of_grid(cls, corners: Corners) -> "CornerPairs":
@@ -302,6 +334,7 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
+    # The lengths of segments; inf where the ends do not see each other.
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 

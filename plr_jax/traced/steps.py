@@ -25,17 +25,20 @@ _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
 def pack(cells: Mask) -> Words:
+    """Return a grid as bits of words: column ``c`` of a row is bit ``c % 32`` of the row's word ``c // 32``."""
     h, w = cells.shape
     bits = jnp.pad(cells, ((0, 0), (0, -w % WORD))).reshape(h, -1, WORD)
     return (bits.astype(jnp.uint32) << _PLACES).sum(axis=2, dtype=jnp.uint32)
 
 
 def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
+    """Return the bits of a grid of ``w`` columns, as 0 and 1: the inverse of :func:`pack`."""
     bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
     return bits.reshape(len(words), -1)[:, :w]
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
+    """Return a grid of one cell, as bits."""
     rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
     bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
     return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
@@ -43,6 +46,7 @@ def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -
 
 def neighbors_of(words: Grids) -> Grids:
     """Return all cells that share a side with any of the given cells; each word holds 32 cells of a row as bits."""
+    # To the next column is one bit up; between words, the highest bit leads to the lowest bit of the next word.
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
         none = jnp.zeros_like(words[:, :1])
@@ -53,7 +57,11 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
-    """Return rows and columns of the up to four cells that contain each point, and whether the grid contains it."""
+    """Return rows and columns of the up to four cells that contain each point, and whether the grid contains it.
+
+    The four cells are lower left, lower right, upper left and upper right; some are equal unless the point is a
+    corner of cells. A point outside the grid is moved to the nearest point of the grid.
+    """
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
     upper = jnp.minimum(jnp.floor(clipped), size - 1).astype(jnp.int32)
@@ -98,6 +106,7 @@ class StepPairs:
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
         h, w = self.table.shape[:2]
         ((rows, columns), is_x_inside), (others, is_y_inside) = (containing_cells((h, w), end) for end in (x, y))
+        # Each of the four cells of x with each of the four cells of y, as an index into the flat table.
         places = (rows * w + columns)[:, None] * (h * w) + (others[0] * w + others[1])[None]
         # A gather for each of the 16 pairs of cells takes an eighth of the time of one gather for all.
         get = self.table.ravel().at
@@ -117,7 +126,8 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    # The reachable cells, and their numbers of steps from ``start`` as one packed grid per binary digit.
+    """Return the reachable cells, and their numbers of steps from ``start`` as one packed grid per binary digit."""
+    # `powers` are the numbers of the digits from the third on. Paths are shorter than the padded grid has cells.
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
 
@@ -125,8 +135,8 @@ def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[
         return (number >> powers) & 1 == 1
 
     def four_levels(state):
-        # Round f finds the cells at 4 f + 1 to 4 f + 4 steps. Their two lowest digits are 01, 10, 11 and 00; their
-        # other digits are those of f, and of f + 1 for the last.
+        # Round f, of `fours`, finds the cells at 4 f + 1 to 4 f + 4 steps: new[0] to new[3]. Their two lowest digits
+        # are 01, 10, 11 and 00; their other digits are those of f, and of f + 1 for the last.
         fours, reached, ones_plane, twos_plane, planes, _ = state
         new = []
         for _ in range(4):
@@ -162,6 +172,7 @@ MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than c
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
     """Return path lengths on the 8-connected grid, in straight steps, by relaxation of all cells at once."""
+    # Arrays have a rim of one cell, which no path reaches: `at` is the grid, moved by a step.
     h, w = free.shape
 
     def at(padded, down: int, right: int):
