@@ -52,6 +52,7 @@ Entries = Int[np.ndarray, "entries"]  # a number for each list entry: a leaf, an
 EntryPoints = Float[np.ndarray, "entries 2"]
 Hulls = tuple[EntryPoints, EntryPoints, EntryPoints]  # each is the convex hull of a box (two corners) and a point
 PairIndices = Int[np.ndarray, "pairs"]
+_Shape = tuple[int, int]
 NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list entries, and a wall near each
 
 
@@ -67,13 +68,7 @@ class NearWalls:
 
     @staticmethod
     def of(
-        boxes: Boxes,
-        leaf: Entries,
-        listed: Entries,
-        corners: Corners,
-        walls: Walls,
-        margin: float,
-        shape: tuple[int, int],
+        boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, shape: _Shape
     ) -> "NearWalls | None":
         # Return None if testing all walls is as fast: if an entry has more than 1 / `_COST` of all walls.
         most_worthwhile = len(walls) // _COST // _STEP * _STEP
