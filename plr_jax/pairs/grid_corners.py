@@ -87,7 +87,7 @@ def taut_corners(
     #    straight aside (S), or both ahead and aside (B). In an octant, each row begins with a cell of kind B.
     #
     #       2 | S B B      Cells A are taut if a blocked diagonal is ahead, cells S if one is aside, and cells B if
-    #       one 1 | S B B      is ahead or aside but not both (`_TAUT`).
+    #       1 | S B B      one is ahead or aside but not both (`_TAUT`).
     #       0 | c A A
     #
     #    Cells past another corner, at which they are taut, are listed for that corner only. Such cells are further
