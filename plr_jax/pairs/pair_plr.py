@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 
-_FEW, _MANY = 2**10, 2**14  # block sizes for few and for many pairs
+_BLOCKS = (2**10, 2**14)  # sizes of the blocks, of few and of many pairs, that compiled functions answer
 _FEW_TESTS = 2**18  # pairs times walls up to which NumPy answers: at most about as slowly as a compiled block
 _PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 
@@ -98,7 +98,7 @@ class PairPLR(FileBacked):
             answer = self._numpy.distances_to(*rows, outside=outside).reshape(batch)
         else:
             answer = partial(_distances_to, self.tables, goals, outside=outside)
-            answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]
+            answer = answered_in_parts(answer, _BLOCKS, x, number)[0]
         return jax.device_put(answer)
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
@@ -170,7 +170,7 @@ class PairPLR(FileBacked):
             answers = np.atleast_2d(few(self._numpy, _rows(x, batch), _rows(y, batch)))
             answers = (each.reshape(batch) for each in answers)
         else:
-            answers = answered_in_parts(partial(compiled, self.tables), (_FEW, _MANY), x, y)
+            answers = answered_in_parts(partial(compiled, self.tables), _BLOCKS, x, y)
         return tuple(map(jax.device_put, answers))  # unlike `jnp.asarray`, compiles nothing
 
     def _are_few(self, pairs: int) -> bool:
