@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import shortened, take_ragged
+from plr_jax._arrays import concatenated, shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary, vertices_near_edges
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
@@ -128,12 +128,8 @@ class Lists:
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
-        return Lists(
-            self.cells.append(other.cells),
-            np.concatenate([self.cell, len(self.cells) + other.cell]),
-            np.concatenate([self.corner, other.corner]),
-            np.concatenate([self.by_all, other.by_all]),
-        )
+        cell = np.concatenate([self.cell, len(self.cells) + other.cell])
+        return Lists(self.cells.append(other.cells), cell, *concatenated([self, other], "corner", "by_all"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,9 +161,8 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
     corners = np.nonzero(corner_cells(free))
     slanted = connectivity == 8
     for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
-        view = np.ascontiguousarray(
-            (free.T if transposed else free)[:: -1 if flipped else 1, :: -1 if mirrored else 1]
-        )
+        view = free.T if transposed else free
+        view = np.ascontiguousarray(view[:: -1 if flipped else 1, :: -1 if mirrored else 1])
         (row, column), steps = corners, (free.shape[1], 1)  # steps between rows and columns, in numbers of cells
         if transposed:
             row, column, steps = column, row, steps[::-1]
@@ -277,9 +276,7 @@ class CornerLabels:
         # Lists of ancestors begin at the root. So both lists begin alike, and agree nowhere after they first differ.
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
-        shorter = xp.minimum(
-            *(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b))
-        )
+        shorter = xp.minimum(*(looked_up(self.first, end + 1) - looked_up(self.first, end) for end in (a, b)))
 
         def at(table: Int32[Array, " ancestors"], place: Any) -> list[Any]:
             last = len(table) - 1

@@ -193,15 +193,8 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
-    tables = GridTables(
-        sight_of(free, connectivity),
-        jnp.asarray(group_block, jnp.int32),
-        jnp.asarray(_narrow(cell_block)),
-        jnp.asarray(blocks),
-        jnp.asarray(row),
-        jnp.asarray(column),
-        distances=corner_distances(free, connectivity),
-    )
+    arrays = map(jnp.asarray, (group_block.astype(np.int32), _narrow(cell_block), blocks, row, column))
+    tables = GridTables(sight_of(free, connectivity), *arrays, corner_distances(free, connectivity))
     # Queries also read empty tables, and ignore the value: give empty tables one entry.
     return jax.tree_util.tree_map(
         lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
