@@ -99,8 +99,8 @@ def taut_corners(
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
         has_blocked = {diagonal: cells[sector.row, sector.column] for diagonal, cells in blocked.items()}
         is_taut_ahead, is_taut_aside, is_taut_both = (has_blocked[one] | has_blocked[other] for one, other in _TAUT)
-        is_first_taut = is_taut_both if sector.slanted else is_taut_aside
-        for corner, width, row in _scan(sector, ahead, ahead | aside if sector.slanted else aside):
+        is_first_taut = is_taut_both if sector.is_slanted else is_taut_aside
+        for corner, width, row in _scan(sector, ahead, ahead | aside if sector.is_slanted else aside):
             if row:
                 has_first, has_others = is_first_taut[corner] & sector.keeps_aside, is_taut_both[corner]
             else:  # the first cell is the corner itself
@@ -145,13 +145,13 @@ class _Sector:
     origin: int  # number in the grid of the view's first cell
     row_step: int
     column_step: int
-    slanted: bool  # whether the sector is an octant
+    is_slanted: bool  # whether the sector is an octant
     keeps_ahead: bool  # whether this one of two adjacent sectors owns the cells straight ahead of a corner
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
         # The numbers, in the grid, of the cells so far aside and ahead (from the row's begin) of corners.
-        column = self.column[corner] + ahead + (aside if self.slanted else 0)
+        column = self.column[corner] + ahead + (aside if self.is_slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
 
@@ -159,26 +159,27 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
     """Yield the sectors of all corners: four quadrants, or eight octants if steps may be diagonal."""
     # A view is the grid, transposed or not, with rows reversed if flipped, with columns reversed if mirrored.
     corners = np.nonzero(corner_cells(free))
-    slanted = connectivity == 8
-    for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
-        view = free.T if transposed else free
-        view = np.ascontiguousarray(view[:: -1 if flipped else 1, :: -1 if mirrored else 1])
+    is_slanted = connectivity == 8
+    both = (False, True)
+    for is_transposed, is_flipped, is_mirrored in product(both[: 1 + is_slanted], both, both):
+        view = free.T if is_transposed else free
+        view = np.ascontiguousarray(view[:: -1 if is_flipped else 1, :: -1 if is_mirrored else 1])
         (row, column), steps = corners, (free.shape[1], 1)  # steps between rows and columns, in numbers of cells
-        if transposed:
+        if is_transposed:
             row, column, steps = column, row, steps[::-1]
         last_row, last_column = view.shape[0] - 1, view.shape[1] - 1
         yield _Sector(
             free=view,
             blocked=dict(zip(_DIAGONALS, _blocked_diagonals(view), strict=True)),
-            row=last_row - row if flipped else row,
-            column=last_column - column if mirrored else column,
-            origin=last_row * steps[0] * flipped + last_column * steps[1] * mirrored,
-            row_step=-steps[0] if flipped else steps[0],
-            column_step=-steps[1] if mirrored else steps[1],
-            slanted=slanted,
+            row=last_row - row if is_flipped else row,
+            column=last_column - column if is_mirrored else column,
+            origin=last_row * steps[0] * is_flipped + last_column * steps[1] * is_mirrored,
+            row_step=-steps[0] if is_flipped else steps[0],
+            column_step=-steps[1] if is_mirrored else steps[1],
+            is_slanted=is_slanted,
             # Flipped sectors share the cells ahead; mirrored quadrants or transposed octants, the cells aside.
-            keeps_ahead=not flipped,
-            keeps_aside=not (transposed if slanted else mirrored),
+            keeps_ahead=not is_flipped,
+            keeps_aside=not (is_transposed if is_slanted else is_mirrored),
         )
 
 
@@ -193,7 +194,7 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
     # there allow this step.
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
-    if sector.slanted:
+    if sector.is_slanted:
         may_step_aside &= beside[:-1, 1:] & beside[1:, 1:]
     to_end, to_later, to_illegal = map(_steps_to, (ends_row, ends_later, ~may_step_aside))
     row, column = sector.row, sector.column  # of the first cell of each corner's current row
@@ -207,7 +208,7 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
         aside += 1
         is_seeing = width > 0
         corner, width, row = corner[is_seeing], width[is_seeing], row[is_seeing] + 1
-        column = column[is_seeing] + int(sector.slanted)
+        column = column[is_seeing] + int(sector.is_slanted)
 
 
 def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
