@@ -257,9 +257,8 @@ class Roadmap:
         to_goal = np.stack([np.zeros_like(near), 1 + near], axis=1).astype(edges.dtype)
         vertices = np.concatenate([goal[None], samples])
         edges = np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]])
-        graph, tree = Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices)
         oracle = copy(self)
-        oracle._search(graph, tree)
+        oracle._search(Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices))
         return oracle
 
     def _search(self, graph: Graph, tree: KDTree) -> None:
@@ -304,12 +303,10 @@ class Roadmap:
         return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _settled(self, x: ArrayLike) -> ArrayLike:
-        if self._workspace is not None:
-            return self._workspace.settled(x)
-        return self.domain.settled(x, self.is_free)
+        return self.domain.settled(x, self.is_free) if self._workspace is None else self._workspace.settled(x)
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Return distances to the goal, and first vertices of paths, -1 if the point is not free or sees no vertex."""
+        """Return distances to the goal, and first vertices, -1 if the point is not free or sees no vertex."""
         distance, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart

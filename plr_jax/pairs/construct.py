@@ -272,8 +272,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     for (_, exact), (_, rough) in zip(*(distances_by_rows(points, edges) for points in (true, rounded)), strict=True):
         with np.errstate(invalid="ignore"):  # `exact` and `rough` may both be infinite
             change = max(change, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))
-    rounding = np.float32(2 * moved + change + _SLACK * workspace.tolerance)
-    rounding = float(np.nextafter(rounding, np.float32(np.inf)))  # the file has 32 bits: round up
+    # The file has 32 bits, so round up.
+    rounding = float(np.nextafter(np.float32(2 * moved + change + _SLACK * workspace.tolerance), np.float32(np.inf)))
 
     # 4. Grow the leaves and their lists.
     def file_data(lists: Lists) -> PairsFileData:

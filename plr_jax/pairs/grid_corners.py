@@ -346,7 +346,6 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
         if center[corner] < 0:
             center[(center < 0) & (lengths <= radius)] = len(centers)
             centers.append(corner)
-    centers = np.array(centers, np.int64)
     between = distances[np.ix_(centers, centers)]
     differences = np.empty(size, kind)
     for corner, lengths in enumerate(distances):

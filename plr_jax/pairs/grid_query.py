@@ -216,9 +216,10 @@ SLACK = 2.0**-20
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    batch = x.shape[:-1]
+    """Return the numbers of steps between the cells of points, ``inf`` outside the grid or without a path."""
     (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
-    return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
+    lengths = lengths_between_cells(tables, p, q)
+    return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
 
 
 def evaluate_few(

@@ -246,11 +246,10 @@ def _near_pairs(
     ends = np.stack([lo, np.stack([hi[:, 0], lo[:, 1]], axis=1), np.stack([lo[:, 0], hi[:, 1]], axis=1), hi]) - corner
     x, y = ends.transpose(2, 0, 1)
     cross = x[:, None] * y - y[:, None] * x  # of all pairs of the box's corners, relative to c
-    rows = np.arange(len(lo))
     lines = []
     for sign in (1, -1):  # touching r, touching l
         least = (sign * cross).min(axis=1)
-        touched = least.argmax(axis=0), rows
+        touched = least.argmax(axis=0), np.arange(len(lo))
         dx, dy = sign * x[touched], sign * y[touched]
         reach = margin * (np.abs(dx) + np.abs(dy))
         at_corner = dx * corner[:, 1] - dy * corner[:, 0]

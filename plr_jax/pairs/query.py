@@ -250,9 +250,7 @@ def _norm(v: Points) -> _Lengths:
 
 
 def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-    if tables.near is None:
-        return is_hidden(tables, x, corner)
-    return tables.near.hide(leaf, place, x, corner)
+    return is_hidden(tables, x, corner) if tables.near is None else tables.near.hide(leaf, place, x, corner)
 
 
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:

@@ -138,8 +138,8 @@ class Outline:
                 if meetings > most:
                     raise ValueError(f"the {len(lines):,} walls of its outline cross one another too often")
         # 2. Divide the plane by the walls into polygons.
-        walls: Any = shapely.union_all(lines)
-        polygons: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
+        pieces: Any = shapely.get_parts(shapely.union_all(lines))
+        polygons: Any = shapely.get_parts(shapely.polygonize(pieces))
         # 3. Keep polygons that are free: an odd number of walls a-b crosses the ray to the left from a point p
         #    inside. A wall does if a and b are on two sides of the ray's line, which the wall meets at x < px.
         px, py = shapely.get_coordinates(shapely.point_on_surface(polygons)).T[:, :, None]
@@ -425,8 +425,7 @@ def _read_lists(
     # Level by level, each half of a split node takes over its parent's list, less the corners that the file says it
     # drops. `nodes` are the nodes of a level. Entry k of the level has the node `nodes[row[k]]` and `corner[k]`.
     corner = np.flatnonzero(~body.read_set(count))
-    row = np.zeros(len(corner), np.int64)
-    nodes = np.zeros(1, np.int64)  # the root
+    nodes, row = np.zeros(1, np.int64), np.zeros(len(corner), np.int64)  # the root alone
     entries_of_leaves, num_of_leaves = [], 0
     for split in tree.splits:
         # 1. Set the lists of leaves aside.

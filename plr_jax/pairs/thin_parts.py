@@ -89,8 +89,7 @@ def with_thin_parts(
                     rows.append((ring, place, -1, is_thin))
                     taken.add(place)
     rings, points, vertex, thin = (np.array(column) for column in zip(*rows, strict=True))
-    first = np.searchsorted(rings, np.arange(len(outline.first)))
-    outline = replace(outline, points=points, first=first)
+    outline = replace(outline, points=points, first=np.searchsorted(rings, np.arange(len(outline.first))))
     return replace(outline, thin=np.union1d(np.flatnonzero(thin), thin_walls(outline, free_space, width))), vertex
 
 
@@ -149,12 +148,10 @@ def _merged(spans: _Spans, length: float, reach: float) -> _Spans:
     merged: _Spans = []
     end = 0.0  # of the last interval, at first the start of the wall
     for a, b in sorted(spans):
-        if a - end > 2 * reach:
-            merged.append((a, b))
-        else:
-            begin = merged.pop()[0] if merged else 0.0
-            merged.append((begin, max(end, b)))
-        end = merged[-1][1]
+        if a - end <= 2 * reach:
+            a, b = merged.pop()[0] if merged else 0.0, max(end, b)
+        merged.append((a, b))
+        end = b
     if merged and length - end <= 2 * reach:
         merged[-1] = (merged[-1][0], length)
     return merged
