@@ -60,8 +60,10 @@ NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list en
 class NearWalls:
     """The walls between each leaf, a box of the domain, and the corners that it lists as first turns of paths."""
 
-    ends: Float[Array, "4 walls"]  # both ends of walls, list entry by list entry
-    first: UInt32[Array, "leaves longest"]  # first wall of each list entry, plus 2**31 if it has more than 4
+    # Both ends (ax, ay, bx, by) of walls: the walls of the first list entry, of the second one, and so on. Entries
+    # are sorted by leaf; `first[leaf, place]` is the index of the first wall of the leaf's corner at this place.
+    ends: Float[Array, "4 walls"]
+    first: UInt32[Array, "leaves longest"]  # plus 2**31 if the entry has more than 4 walls
     # Walls that queries read for every entry. For most entries these include walls of the next entries, which do no
     # harm: any wall may be tested.
     most: int = field(metadata={"static": True})
@@ -70,7 +72,13 @@ class NearWalls:
     def of(
         boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, shape: _Shape
     ) -> "NearWalls | None":
-        # Return None if testing all walls is as fast: if an entry has more than 1 / `_COST` of all walls.
+        """Find the walls of each list entry; None if testing all walls is as fast.
+
+        Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``, which ascends. ``shape`` is that of
+        ``first``.
+        """
+        # A query reads as many walls for every entry. This is as slow if the longest list has 1 / `_COST` of all
+        # walls.
         most_worthwhile = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, most_worthwhile)) is None:
             return None
@@ -79,13 +87,13 @@ class NearWalls:
         most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
         first = np.zeros(shape, np.uint32)
         packed = np.cumsum(counts) - counts + np.where(counts > _SHORT, _LONG, 0)
-        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = packed  # at leaf, place in its list
+        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = packed  # at (leaf, place in its list)
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-        # `place` is the index of the corner in the list of the leaf, which contains the point. The first walls decide
-        # most rows. The others are tested against all walls of their entries, in batches.
+        """Return whether walls hide corners from points; ``place`` is the corner's index in the list of the point's leaf."""
+        # The first walls decide most rows. The others are tested against all walls of their entries, in batches.
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW_ROWS:
@@ -123,11 +131,11 @@ def updated(
     ``update`` maps rows of ``state`` and of the ``columns`` to new rows of ``state``. With ``leaves_rest``, the last
     batch is left out if it has fewer than ``size`` rows and is not the only batch.
     """
-    # 1. Pack flags into words. Bit b of word w tells whether row b * len(words) + w is open:
+    # 1. Pack flags into words. Bit b of word w tells whether row b * len(words) + w is open. With 3 words, rows are
     #
-    #        word:   0    1    2          With 3 words, bit 0 of the words stands for rows 0, 1, 2, bit 1 for rows
-    #        bit 0:  0    1    2          3, 4, 5, and so on. Open rows are numbered word by word, in each word from
-    #        bit 1:  3    4    5          the lowest bit: the *rank* of a row.
+    #              word 0   word 1   word 2      The *rank* of an open row is its number among the open rows, counted
+    #       bit 0     0        1        2        word by word, in each word from the lowest bit.
+    #       bit 1     3        4        5
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word

@@ -52,6 +52,7 @@ class Outline:
 
     @property
     def is_thin(self) -> Bool[np.ndarray, " points"]:
+        """Mask of the thin walls."""
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
@@ -126,7 +127,8 @@ class Outline:
         """
         import shapely
 
-        # 1. Count the meetings of walls, and give up before there are too many.
+        # 1. Count the crossings of walls, and the walls that meet at points. Give up if they are more than two or
+        #    three times as many as the walls.
         ends = self.moved_walls(0.0).reshape(-1, 2, 2)
         lines: Any = shapely.linestrings(ends)
         tree: Any = shapely.STRtree(lines)
@@ -145,9 +147,9 @@ class Outline:
         px, py = shapely.get_coordinates(shapely.point_on_surface(polygons)).T[:, :, None]
         (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            is_left = (ay > py) != (by > py)
-            is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
-        return shapely.union_all(polygons[is_left.sum(axis=1) % 2 == 1])
+            is_crossed = (ay > py) != (by > py)
+            is_crossed &= ax + (py - ay) / (by - ay) * (bx - ax) < px
+        return shapely.union_all(polygons[is_crossed.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, moves_all: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
