@@ -264,7 +264,8 @@ class PairDistances:
 
 def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:
     """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
-    result, some = np.full(len(first) - 1, np.inf), np.diff(first) > 0
-    if some.any():
-        result[some] = np.minimum.reduceat(values, first[:-1][some])
-    return result
+    # `reduceat` reduces up to the next index, so leaving out empty runs does not change the others.
+    minima, has_values = np.full(len(first) - 1, np.inf), np.diff(first) > 0
+    if has_values.any():
+        minima[has_values] = np.minimum.reduceat(values, first[:-1][has_values])
+    return minima

@@ -84,8 +84,8 @@ def _lengths_of_rim(
     def nearest_known(lengths: Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
         # The place and the length of the last known cell up to each cell of the rim, or from each cell on.
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
-            place, length, is_known = cell
-            nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
+            index, length, is_known = cell
+            nearest = jnp.where(is_known, index, nearest[0]), jnp.where(is_known, length, nearest[1])
             return nearest, nearest
 
         return lax.scan(step, first, (place, lengths, is_known), reverse=reverse)[1]
@@ -149,6 +149,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         # For each cell, the value of the cell so many columns to its right; `border` beyond the square.
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
+    # 1. Sweep over the rows.
     def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
         # One pass over the rows: each row takes lengths from the row before it, straight and by `turns` diagonally.
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
@@ -167,8 +168,8 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
+    # 2. Sweep down, up, left and right until nothing changes.
     def spread(part: tuple[Square, _Free]) -> Square:
-        # Sweep down, up, left and right until nothing changes.
         lengths, free = part
 
         def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
@@ -183,7 +184,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
 
         return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
 
-    # Take as many agents at once as fit into caches.
+    # 3. Take as many agents at once as fit into caches.
     agents = lengths.shape[-1]
     size = min(_AGENTS, max(agents, 1))
 

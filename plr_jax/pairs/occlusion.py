@@ -197,8 +197,9 @@ def _near_entries(
     # Entry `i` is a corner at `point[i]`, with the index `corner[i]`, of the list of leaf `leaf[i]`. Leaves at
     # neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion; only
     # these walls are candidates for each leaf of a run. Pairs are returned in the order of entries.
+    # 1. Find the candidates of each entry.
     lo, hi = boxes
-    if len(lo) == 1:  # all walls are candidates for all entries
+    if len(lo) == 1:  # all walls, for all entries
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
         run_entry = np.zeros(len(leaf), np.int64)
     else:
@@ -212,7 +213,7 @@ def _near_entries(
             return None
         entry, candidates = near
         first = np.searchsorted(entry, np.arange(len(heads) + 1))
-    # The candidates of entry `i` are `candidates[first[k] : first[k + 1]]` with `k = run_entry[i]`.
+    # 2. Test them. The candidates of entry `i` are `candidates[first[k] : first[k + 1]]` with `k = run_entry[i]`.
     tests = first[run_entry + 1] - first[run_entry]
     if tests.sum() > _MOST_TESTS:
         return None

@@ -186,13 +186,14 @@ class NumpyPairs:
         return lower[()], upper[()]
 
     def _from_middle(self, x: ArrayLike, y: ArrayLike) -> tuple[_Points, _Points, tuple[int, ...]]:
-        x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
+        """Broadcast points; return them as rows in 32 bits, relative to the middle, and the shape of the batch."""
+        x, y = (as_queries(points, 2).astype(np.float64, copy=False) for points in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
         except ValueError:
             raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
         with np.errstate(over="ignore", invalid="ignore"):
-            p, q = ((each.reshape(-1, 2) - self._middle).astype(np.float32) for each in (x, y))
+            p, q = ((points.reshape(-1, 2) - self._middle).astype(np.float32) for points in (x, y))
         return p, q, x.shape[:-1]
 
     # The functions below are PairPLR's for few points. Points are relative to the middle of the domain, in 32 or 64
@@ -307,7 +308,7 @@ def _in_blocks(
         inside = np.flatnonzero(fixed_answers == 0)
         # At least one block, perhaps empty: its answer has the dtype and the first axes of all answers.
         blocks = [inside[first : first + _PAIRS] for first in range(0, max(1, len(inside)), _PAIRS)]
-        block_answers = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
+        block_answers = [answer(*(column[block] for column in (p, q, *others))) for block in blocks]
     answers = np.broadcast_to(fixed_answers, (*block_answers[0].shape[:-1], len(p))).copy()
     answers[..., inside] = np.concatenate(block_answers, axis=-1)
     return answers

@@ -258,10 +258,13 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
     # Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
     # another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another.
     # It counts only if `tables.is_certain`: then paths must be certainly free.
+    #
+    # 1. Test the occluders.
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
 
+    # 2. Test the walls, group by group.
     def cross(crossed: _Crossed, walls: Any, x: Points, y: Points) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
