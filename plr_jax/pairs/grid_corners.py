@@ -150,7 +150,7 @@ class _Sector:
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
-        # The numbers, in the grid, of the cells so far aside and ahead (from the row's begin) of corners.
+        # The numbers, in the grid, of one cell of each corner's sector: in row `aside`, at index `ahead` of the row.
         column = self.column[corner] + ahead + (aside if self.is_slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
@@ -201,6 +201,8 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
     corner, aside = np.arange(len(row)), 0
     width = _steps_to(~sector.free)[row, column]
     while len(corner):
+        # A row has the cells up to its first one in `ends_row`, `end + 1` cells if it is long enough. The next row
+        # has at most as many, and only those before the first cell in `ends_later` and before the first illegal step.
         offset = int(aside == 0)  # the corner itself ends nothing
         end, later = (steps[row, column + offset] + offset for steps in (to_end, to_later))
         yield corner, np.minimum(width, end + 1), aside
@@ -233,10 +235,11 @@ def _blocked_diagonals(free: Grid) -> Shaped[np.ndarray, "4 rows columns"]:
 _NO_PATH = FAR + 2**20  # FAR or more even after adding differences to it
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # twice as many steps, in units, fit into 8 or 16 bits
 _MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
-_ANCESTOR_BYTES = 8
+_ANCESTOR_BYTES = 8  # of an ancestor and the distance to it
 
 
 def looked_up(table: Any, index: Any) -> Any:
+    """Return entries of a table, in NumPy or JAX like the index, which must be in the range."""
     if isinstance(index, np.ndarray):
         return np.asarray(table)[index]
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
