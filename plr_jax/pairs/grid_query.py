@@ -98,6 +98,7 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
 
 
 def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
+    # Cell i, in row-major order, has bit i % 32 of word i // 32.
     cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(np.uint32)
     return (looked_up(sight.free, cell >> 5) >> (cell & 31) & 1).astype(bool)
 
@@ -111,7 +112,7 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     sums = xp.asarray(sight.sums)
 
     def between(row: Ints, column: Ints, last_column: Ints) -> Ints:
-        # The sum over columns; `row` is the index in `sums` of the first entry of a row.
+        # The sum over columns; `row` is the index in `sums` of the first entry of a row. Sums may be unsigned.
         return sums[row + last_column + 1].astype(np.int32) - sums[row + column].astype(np.int32)
 
     if sight.connectivity == 4:  # the rectangle between the cells must be free
@@ -129,30 +130,32 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     #
     # 1. Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     offset = q - p
-    transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
-    mirrored = offset[:, 0] * offset[:, 1] < 0
-    straight = (offset == 0).any(axis=1)
+    is_transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
+    is_mirrored = offset[:, 0] * offset[:, 1] < 0
+    is_straight = (offset == 0).any(axis=1)
     rows, columns = sight.shape
-    width = xp.where(transposed, rows, columns)
-    (row, column), (other_row, other_column) = (xp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
-    column, other_column = (xp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
+    width = xp.where(is_transposed, rows, columns)
+    (row, column), (other_row, other_column) = (xp.where(is_transposed, end[:, ::-1].T, end.T) for end in (p, q))
+    column, other_column = (xp.where(is_mirrored, width - 1 - end, end) for end in (column, other_column))
     row, last_row = xp.minimum(row, other_row), xp.maximum(row, other_row)
     column, last_column = xp.minimum(column, other_column), xp.maximum(column, other_column)
     # 2. Choose the table, and compare the sums.
-    number = _TABLES * transposed.astype(p.dtype) + xp.where(straight, _IN_ROWS, mirrored.astype(p.dtype))
+    number = _TABLES * is_transposed.astype(p.dtype) + xp.where(is_straight, _IN_ROWS, is_mirrored.astype(p.dtype))
     table = (rows + 1) * (columns + 1) * number
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
-    until_first = xp.where(straight, 0, between(first, column, last_column - aside))
+    until_first = xp.where(is_straight, 0, between(first, column, last_column - aside))
     return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
 
 
 def _narrow(numbers: Int[np.ndarray, " n"]) -> Integer[np.ndarray, " n"]:
+    # The same numbers, which are at least 0, in as few bytes as the largest one needs.
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
 BLOCK = 4  # corners of a cell that are read in one step
 GROUP = 16  # cells whose block offsets share a base
+_BLOCKS_AT_ONCE = 2**20  # blocks filled together during construction
 
 
 @pytree
@@ -201,7 +204,6 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     )
 
 
-_BLOCKS_AT_ONCE = 2**20  # blocks filled together during construction
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
 _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
@@ -217,9 +219,9 @@ def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """Return the numbers of steps between the cells of points, ``inf`` outside the grid or without a path."""
-    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     lengths = lengths_between_cells(tables, p, q)
-    return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
+    return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
 
 
 def evaluate_few(
@@ -227,11 +229,11 @@ def evaluate_few(
 ) -> Float[np.ndarray, "*batch"] | None:
     """Answer as :func:`evaluate_pairs` in NumPy; None if there are so many pairs that compiled code is as fast."""
     # 1. Answer pairs of cells that see each other.
-    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     if len(p) > _MOST_FEW:
         return None
     lengths = open_length(tables.connectivity, *np.abs(p - q).T)
-    hidden = np.flatnonzero(p_inside & q_inside & ~sees(tables.sight, p, q))
+    hidden = np.flatnonzero(p_is_inside & q_is_inside & ~sees(tables.sight, p, q))
     # 2. For other pairs, try all combinations of a block of the first cell and a block of the second cell.
     #    Combination `number` has block `number // other_count` of the first cell, `number % other_count` of the
     #    second.
@@ -245,7 +247,7 @@ def evaluate_few(
     legs, other_legs = _legs(tables, p[hidden[pair]], corners), _legs(tables, q[hidden[pair]], others)
     between = tables.distances.between(corners[:, :, None], others[:, None])
     np.minimum.at(lengths, hidden[pair], (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2)))
-    return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
+    return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -253,7 +255,7 @@ def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
-    p, inside = cells_of(tables.shape, x.reshape(-1, 2))
+    p, is_inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
 
     def around(cells: Cells) -> _Lengths:
@@ -261,7 +263,7 @@ def evaluate_to(
 
     open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
     lengths = jnp.where(sees(tables.sight, p, q), open_way, part_by_part(around, _CHUNK, p))
-    return _in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
+    return _in_steps(tables.connectivity, lengths, is_inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -284,8 +286,8 @@ def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
     """
     xp: Any = np if isinstance(x, np.ndarray) else jnp
     place = xp.floor(x)[:, ::-1]
-    inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
-    return xp.where(inside[:, None], place, 0).astype(np.int32), inside
+    is_inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
+    return xp.where(is_inside[:, None], place, 0).astype(np.int32), is_inside
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
@@ -295,14 +297,14 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     """Return path lengths between cells; pairs are sorted, so that the pairs of a chunk take equally long."""
     # A loop over blocks takes as long for a chunk as for its slowest pair.
-    seen = sees(tables.sight, p, q)
+    is_seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
-        length, blocks_p, blocks_q = _most_likely(tables, p, q, seen)
+        length, blocks_p, blocks_q = _most_likely(tables, p, q, is_seen)
         return _least_over_blocks(tables, _OpenBlocks(p, blocks_p), _OpenBlocks(q, blocks_q), length)
     # 1. Find the most likely paths. Sort pairs by the number of blocks of the first cell, then of the second cell.
-    num_p, num_q = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_SORTED) for cells in (p, q))
+    num_p, num_q = (jnp.minimum(jnp.where(is_seen, 0, _blocks_of(tables, end)[1]), _MOST_SORTED) for end in (p, q))
     chunks = _sorted_chunks(num_p * (_MOST_SORTED + 1) + num_q)
-    by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
+    by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], is_seen[chunk]), chunks)
     length, *blocks = (jnp.zeros(len(p), column.dtype).at[chunks].set(column) for column in by_chunk)
     # 2. Try the blocks that may have shorter paths. Sort pairs by the number of combinations of such blocks.
     num_p, num_q = (lax.population_count(bits).astype(jnp.int32) for bits in blocks)
@@ -324,32 +326,33 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
     return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
 
 
-def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
+def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
     """Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path."""
-    (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
+    corner, leg = _nearest_to_both(tables, p, q, is_seen)
+    other, other_leg = _nearest_to_both(tables, q, p, is_seen)
     total = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(total, FAR), FAR)
-    length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
+    length = jnp.where(is_seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
     # If no path joins these corners, no path joins the cells, as all corners of a cell are joined to it.
-    to_beat = jnp.where((length < FAR) & ~seen, length, 0)
+    to_beat = jnp.where((length < FAR) & ~is_seen, length, 0)
     return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
 
 
-def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flags) -> tuple[_Lengths, _Lengths]:
+def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: Flags) -> tuple[_Lengths, _Lengths]:
     """Return the stored corner of each cell over which the path would be shortest on an empty grid, and its distance.
 
     The distance is the path length from the cell to the corner; FAR if the cell has no corner or sees the other cell.
     """
     first, count = _blocks_of(tables, cells)
-    count = jnp.where(seen, 0, count)
+    count = jnp.where(is_seen, 0, count)
 
     def with_block(block: _Scalar, best: tuple[_Lengths, ...]) -> tuple[_Lengths, ...]:
         corners = _corners_of_block(tables, first, count, block)
         lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
         least = lengths.min(axis=1)
         corner = jnp.where(lengths == least[:, None], corners, -1).max(axis=1)
-        nearer = least < best[0]
-        return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
+        is_nearer = least < best[0]
+        return jnp.where(is_nearer, least, best[0]), jnp.where(is_nearer, corner, best[1])
 
     far = jnp.full_like(count, FAR)
     _, corner = lax.fori_loop(0, count.max(), with_block, (far, jnp.zeros_like(far)))
@@ -365,8 +368,8 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
     def with_block(block: _Scalar, bits: _Blocks) -> _Blocks:
         corners = _corners_of_block(tables, first, count, block)
         lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
-        better = (lengths.min(axis=1) < length) & (block < count)
-        return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
+        is_better = (lengths.min(axis=1) < length) & (block < count)
+        return bits | is_better.astype(jnp.uint32) << block.astype(jnp.uint32)
 
     none = jnp.zeros_like(count, jnp.uint32)
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
@@ -464,7 +467,7 @@ def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scal
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
-def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+def _in_steps(connectivity: int, length: Ints, is_inside: Flags) -> Any:
     """Convert lengths in integer units to numbers of steps; ``inf`` outside the grid or without a path."""
     xp: Any = np if isinstance(length, np.ndarray) else jnp
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
@@ -472,4 +475,4 @@ def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
     whole, remainder = xp.divmod(length, STRAIGHT[connectivity])
     fraction = remainder.astype(dtype) / STRAIGHT[connectivity]
     steps = xp.where(remainder == 0, whole.astype(dtype), (whole.astype(dtype) + fraction) * (1 - _ROUNDING))
-    return xp.where(inside & (length < FAR), steps, np.inf)
+    return xp.where(is_inside & (length < FAR), steps, np.inf)
