@@ -246,14 +246,15 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
             f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(corner):,}: simplify its polygons, "
             "or ask a VisibilityGraph."
         )
+    # The file's indices of corner c of `visibility` are `order[first[c] : first[c + 1]]`: several, such as two at a
+    # sharp tip, or none.
     order = np.argsort(of_corner, kind="stable")
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        # Return indices in the file of corners of `visibility`, and for each its row in `corners`. The file may have
-        # several points for a corner, such as two at a sharp tip.
-        rows, row = take_ragged(first, corners)
-        return order[rows], row
+        # Return indices in the file of corners of `visibility`, and for each its row in `corners`.
+        place, row = take_ragged(first, corners)
+        return order[place], row
 
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     #    Join points of the same corner, too. Sort pairs by the later corner, then by the earlier corner.
@@ -279,9 +280,9 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     def file_data(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
         listed, row = in_file(lists.corner)
-        place = np.argsort(tree.order)[lists.cell[row]]
-        by_leaf = np.lexsort((listed, place))
-        return PairsFileData(domain, outline, corner, edges, tree, place[by_leaf], listed[by_leaf], rounding)
+        leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
+        by_leaf = np.lexsort((listed, leaf))
+        return PairsFileData(domain, outline, corner, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
 
     most = min(limits.max_leaves, most_leaves(len(corner)))
     root = corners_seen(visibility, workspace.triangulation, domain)
