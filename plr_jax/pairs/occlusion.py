@@ -92,7 +92,7 @@ class NearWalls:
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-        """Return whether walls hide corners from points; ``place`` is the corner's index in the list of the point's leaf."""
+        """Return whether walls hide corners from points; ``place`` is the corner's index in the leaf's list."""
         # The first walls decide most rows. The others are tested against all walls of their entries, in batches.
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
@@ -197,6 +197,7 @@ def _near_entries(
     # Entry `i` is a corner at `point[i]`, with the index `corner[i]`, of the list of leaf `leaf[i]`. Leaves at
     # neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion; only
     # these walls are candidates for each leaf of a run. Pairs are returned in the order of entries.
+    #
     # 1. Find the candidates of each entry.
     lo, hi = boxes
     if len(lo) == 1:  # all walls, for all entries
@@ -263,8 +264,9 @@ def _near_pairs(
         reach = margin * (np.abs(dx) + np.abs(dy))
         at_corner = dx * corner[:, 1] - dy * corner[:, 0]
         lines.append((dx, dy, least[touched] + at_corner - reach))
-    # 3. Test the axis across the wall, e = b - a: all of the hull has e x (p - a) > 0, or all of it < 0. Then test
-    #    the axes across both lines.
+    # 3. Test the axis across the wall, with e = b - a: all of the hull has e x (p - a) > 0, or all of it < 0. In the
+    #    box, this product is from middle - half to middle + half, here with the margin. Then test the axes across
+    #    both lines.
     columns = np.stack([*((lo + hi) / 2).T, *((hi - lo) / 2).T, *corner.T, *lines[0], *lines[1]])
     middle_x, middle_y, half_x, half_y, cx, cy, *lines = columns.take(entry[pairs], axis=1)
     ax, ay, bx, by = walls.T.take(wall[pairs], axis=1)
@@ -273,10 +275,10 @@ def _near_pairs(
     middle, at_corner = ex * middle_y - ey * middle_x - turn, ex * cy - ey * cx - turn
     reach = margin * (size_x + size_y)
     half = size_x * half_y + size_y * half_x + reach
-    apart = (np.minimum(middle - half, at_corner - reach) > 0) | (np.maximum(middle + half, at_corner + reach) < 0)
+    is_apart = (np.minimum(middle - half, at_corner - reach) > 0) | (np.maximum(middle + half, at_corner + reach) < 0)
     for dx, dy, least in (lines[:3], lines[3:]):
-        apart |= np.maximum(dx * ay - dy * ax, dx * by - dy * bx) < least
-    return pairs[~apart]
+        is_apart |= np.maximum(dx * ay - dy * ax, dx * by - dy * bx) < least
+    return pairs[~is_apart]
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
