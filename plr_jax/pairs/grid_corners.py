@@ -317,7 +317,7 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
     lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
     edges: _Edges = [{} for _ in places]
-    for a, b, length in zip(*(one.tolist() for one in (*ends, lengths)), strict=True):
+    for a, b, length in zip(*(column.tolist() for column in (*ends, lengths)), strict=True):
         edges[a][b] = edges[b][a] = length
     size, kind = len(edges) * (len(edges) + 1) // 2, np.dtype(np.int8 if connectivity == 4 else np.int16)
     has_table = len(edges) <= MOST_IN_TABLE
@@ -383,6 +383,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
         if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > _MOST_BYTES):
             raise ValueError(_TOO_LARGE)
         progress.update()
+        # Join the neighbors a and b of the corner v: w(a, b) becomes at most w(a, v) + w(v, b). Remove v.
         for a, to_a in nearby.items():
             of_a = edges[a]
             del of_a[corner]
@@ -406,8 +407,8 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
             depth[corner] = depth[parent[corner]] + 1
     # 2. The list of a corner is the list of its parent, followed by the corner. Entries of corner i:
     #
-    #        first[i]                      first[i] + depth[i]     The ancestor of depth k is entry k of the list.
-    #          root, ..., parent of i,       i
+    #        first[i]   first[i] + 1   ...                first[i] + depth[i]
+    #        root       its child      ...   parent of i   i
     first = np.concatenate([[0], np.cumsum(depth + 1)])
     if _ANCESTOR_BYTES * first[-1] > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
