@@ -257,10 +257,7 @@ def evaluate_to(
     """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
     p, is_inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
-
-    def around(cells: Cells) -> _Lengths:
-        return _least_around(tables, cells, lambda corners: looked_up(from_goal, corners), cells.shape[:1])
-
+    around = partial(_least_around, tables, onward=partial(looked_up, from_goal))
     open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
     lengths = jnp.where(sees(tables.sight, p, q), open_way, part_by_part(around, _CHUNK, p))
     return _in_steps(tables.connectivity, lengths, is_inside).reshape(x.shape[:-1])
@@ -274,9 +271,7 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, " co
     """
     all_corners = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(all_corners), 2))
-    return _least_around(
-        tables, cells, lambda corners: tables.distances.between(all_corners[:, None], corners), all_corners.shape
-    )
+    return _least_around(tables, cells, lambda corners: tables.distances.between(all_corners[:, None], corners))
 
 
 def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
@@ -438,9 +433,7 @@ def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
     return open_length(tables.connectivity, abs(rows - cells[:, :1]), abs(columns - cells[:, 1:]))
 
 
-def _least_around(
-    tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners], shape: tuple[int, ...]
-) -> _Lengths:
+def _least_around(tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners]) -> _Lengths:
     # The least length over a corner that is stored for the cell; `onward` maps corners to their distance to the goal.
     first, count = _blocks_of(tables, cells)
 
@@ -448,7 +441,7 @@ def _least_around(
         corners = _corners_of_block(tables, first, count, block)
         return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
-    far = jnp.full(shape, FAR, jnp.int32)
+    far = jnp.full(cells.shape[:1], FAR, jnp.int32)
     return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
