@@ -1,7 +1,10 @@
 """Exact distances between pairs of points in the plane: straight, or through the first and the last turn.
 
-A shortest path that is not straight turns first and last at corners that its start and its end see. Its length is the
-minimum, over pairs of such corners, of two straight segments and the corners' distance.
+A shortest path from x to y that is not straight turns first at a corner i that x sees, and last at a corner j that y
+sees. Its length is the minimum of |x - i| + D(i, j) + |j - y| over such corners, with the distance D of corners.
+
+Two implementations give equal bits: one for few points, pair by pair (``PairDistances._distance``), and one for many
+points, in batches (``PairDistances._distances``).
 """
 
 import math
@@ -34,7 +37,7 @@ _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 class _CornerLists:
     """For each point, the corners at which paths from it may turn first, and their distances from it."""
 
-    first: Int[np.ndarray, " points_plus_one"]
+    first: Int[np.ndarray, " points_plus_one"]  # index of the first entry of each point
     corner: Int[np.ndarray, " entries"]
     distance: Entries
 
@@ -43,12 +46,13 @@ class _CornerLists:
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     def take(self, points: Int[np.ndarray, " some"]) -> "_CornerLists":
+        """Return the lists of the points at these indices, in their order."""
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
         return _CornerLists(first, self.corner[entry], self.distance[entry])
 
-    def filter(self, keep: Bool[np.ndarray, " entries"]) -> "_CornerLists":
-        return _CornerLists(np.append(0, np.cumsum(keep))[self.first], self.corner[keep], self.distance[keep])
+    def filter(self, mask: Bool[np.ndarray, " entries"]) -> "_CornerLists":
+        return _CornerLists(np.append(0, np.cumsum(mask))[self.first], self.corner[mask], self.distance[mask])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +75,14 @@ class PairDistances:
 
     @cached_property
     def _graph(self) -> Graph:
-        """The graph of corners; edges join two if a shortest path can go straight between them and turn at both."""
+        """The graph of corners; edges join pairs between which a shortest path can go straight and turn at both."""
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, " corners"]]:
-        # Rows of up to `_at_once` corners are cached.
+        """Return the rows of the matrix of distances between corners that belong to these corners."""
+        # Rows of up to `_at_once` corners are cached. If the cache is full, a new one replaces it.
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
             if len(rows) + len(missing) > self._at_once:
@@ -92,7 +97,12 @@ class PairDistances:
 
     @cached_property
     def _lists_of_triangles(self) -> tuple[Int[np.ndarray, " runs_plus_one"], Int[np.ndarray, " entries"]]:
-        # Lists of the corners where paths from each triangle may turn first; the last list is all corners.
+        """Lists of the corners where paths from each triangle may turn first; one more list holds all corners.
+
+        With the value ``(first, corner)``, the list of triangle ``t`` is ``corner[first[t] : first[t + 1]]``.
+        """
+        # A path may turn at a corner only if it comes from a direction v for which `opens x v` and `closes x v`, with
+        # the directions of the corner's walls, are both at least 0 (from opens to -closes), or both at most 0.
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
         visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]
@@ -112,11 +122,16 @@ class PairDistances:
         return distance
 
     def _distances(self, x: Points, y: Points) -> Distances:
+        """Return the distances of many pairs of points, in batches."""
+        # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
-        distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
-        distance[seen] = np.linalg.norm(x[seen] - y[seen], axis=1)
-        hidden = np.flatnonzero(~seen)
+        # 2. Pairs that see each other are joined straight.
+        is_seen = self.workspace.is_visible(x, y)
+        distance = np.full(len(x), np.inf)
+        distance[is_seen] = np.linalg.norm(x[is_seen] - y[is_seen], axis=1)
+        # 3. Other pairs of free points are joined through corners.
+        hidden = np.flatnonzero(~is_seen)
         is_free = self.workspace.is_free_to_tolerance
         hidden = hidden[is_free(x[hidden]) & is_free(y[hidden])]
         hidden = hidden[np.argsort(x[hidden] @ [1, 1j], kind="stable")]  # so that batches share points and corners
@@ -127,7 +142,7 @@ class PairDistances:
         return distance
 
     def _distance(self, x: list[float], y: list[float]) -> float:
-        # Equal to `_distances`, to the bit; NaN if a point is in no triangle.
+        """Return the distance of two points, to the bit as `_distances` does; NaN if a point is in no triangle."""
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
@@ -146,12 +161,15 @@ class PairDistances:
             return math.inf
         # 1. Bound the length of the way through each first corner, by differences of distances to landmarks: Goldberg
         #    and Harrelson, "Computing the shortest path: A* search meets graph theory" (2005).
+        #    With the distances L of a landmark, |j - y| + D(i, j) is at least |j - y| + |L(j) - L(i)|, for every j:
+        #    at least L(i) - max over j of (L(j) - |j - y|), and at least min over j of (L(j) + |j - y|) - L(i).
         of_first, of_last, legs = self._landmarks[first], self._landmarks[last], to_last[:, None]
         with np.errstate(invalid="ignore"):  # a landmark and both corners may be infinitely far from one another
             nearer, farther = of_first - (of_last - legs).max(axis=0), (of_last + legs).min(axis=0) - of_first
         onward = np.fmax.reduce(np.fmax(nearer, farther), axis=1, initial=0.0)
         lower_bound = to_first + onward - self._rounding
-        # 2. Compute lengths until no bound is below the least one.
+        # 2. Try first corners by ascending bound, until no bound is below the least length. For each, try last
+        #    corners by ascending length until a path can turn there. `may_turn` includes a test of visibility.
         shortest, may_turn = math.inf, self.sight.may_turn
         for i in lower_bound.argsort().tolist():
             if lower_bound[i] >= shortest:
@@ -163,6 +181,7 @@ class PairDistances:
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
+        """Return the corners at which paths from a point may turn first, perhaps hidden ones, and their distances."""
         corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T
         return corner, np.sqrt(dx * dx + dy * dy)
@@ -170,11 +189,12 @@ class PairDistances:
     @cached_property
     def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
         """Distances of all corners from a few corners, the landmarks, that are far from one another."""
-        num = len(self._graph.vertices)
-        nearest, rows = np.full(num, np.inf), []
-        for _ in range(min(num, _LANDMARKS)):
-            rows += self._corner_distances([int(nearest.argmax())])
-            nearest = np.minimum(nearest, rows[-1])
+        # Farthest-point sampling: the next landmark is the corner that is farthest from the nearest landmark so far.
+        num_corners = len(self._graph.vertices)
+        to_nearest, rows = np.full(num_corners, np.inf), []
+        for _ in range(min(num_corners, _LANDMARKS)):
+            rows += self._corner_distances([int(to_nearest.argmax())])
+            to_nearest = np.minimum(to_nearest, rows[-1])
         return np.stack(rows, axis=1)
 
     @cached_property
@@ -182,35 +202,42 @@ class PairDistances:
         return _SLACK * float(self._landmarks[np.isfinite(self._landmarks)].max())
 
     def _by_corners(self, x: Points, y: Points) -> Distances:
-        # The length of a path through the most promising corners limits which corners are tried.
+        """Return the length of each pair's shortest path through corners."""
+        # The shortest path through the corner i of least |x - i| + |i - y| limits which corners must be tried.
         at_x, at_y = self._visible_corners(x), self._visible_corners(y)
         least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
-        promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
-        most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
+        is_promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
+        most = self._shortest(at_x.filter(is_promising), at_y) * (1 + _SLACK)
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, targets: Points) -> Entries:
+        # The length of a path from each list's point through a corner, and straight on to the point's target.
         to_other = targets[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
         """Return the length of each pair's shortest path through a corner listed for ``x`` and one for ``y``."""
+        # 1. For each entry of x, minimize `onward`, D(i, j) + |j - y|, over the entries j of the same pair's y: in
+        #    batches of corners i, whose rows of D fit into memory, then in batches of combinations.
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
             between = np.stack(self._corner_distances(corners[begin : begin + at_once].tolist()))
-            of_these = np.flatnonzero((row >= begin) & (row < begin + at_once))
-            counts = np.diff(at_y.first)[at_x.point[of_these]]
+            in_batch = np.flatnonzero((row >= begin) & (row < begin + at_once))
+            counts = np.diff(at_y.first)[at_x.point[in_batch]]
             for part in parts(counts, _WAYS):
-                entries = of_these[part]
-                last, way = take_ragged(at_y.first, at_x.point[entries])
-                onward = between[row[entries][way] - begin, at_y.corner[last]] + at_y.distance[last]
+                entries = in_batch[part]
+                last, entry = take_ragged(at_y.first, at_x.point[entries])
+                onward = between[row[entries][entry] - begin, at_y.corner[last]] + at_y.distance[last]
                 first = np.append(0, np.cumsum(counts[part]))
                 length[entries] = _run_minima(onward, first)
+        # 2. Minimize |x - i| + `length` over the entries i of each x.
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
         """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
+        # Handle equal points once. As complex numbers, points are sorted by their first coordinate, then by the
+        # second.
         _, index, inverse = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._lists_of_triangles
@@ -222,20 +249,23 @@ class PairDistances:
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(is_kept).take(inverse)
 
     def _candidates(self, x: Points) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " runs"]]:
-        # Return the number of corners that may see each point, and which `_lists_of_triangles` hold them.
+        """Return the number of corners that may see each point, and which `_lists_of_triangles` hold them."""
+        # A point has the lists of all triangles that hold it; a vertex of triangles, the last list. The result has
+        # these lists point by point.
         begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
-        is_listed, first, triangle = triangles_at(mesh, mesh.place(x))
-        num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
-        num_runs[is_listed], in_triangle[is_listed] = np.diff(first), True
+        points, first, triangle = triangles_at(mesh, mesh.place(x))  # without points that are vertices
+        num_runs, is_in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
+        num_runs[points], is_in_triangle[points] = np.diff(first), True
         point = np.repeat(np.arange(len(x)), num_runs)
         runs = np.full(len(point), len(begins) - 2)
-        runs[in_triangle[point]] = triangle
+        runs[is_in_triangle[point]] = triangle
         return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
 
 
 def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:
     """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
-    result, some = np.full(len(first) - 1, np.inf), np.diff(first) > 0
-    if some.any():
-        result[some] = np.minimum.reduceat(values, first[:-1][some])
-    return result
+    # `reduceat` reduces up to the next index, so leaving out empty runs does not change the others.
+    minima, has_values = np.full(len(first) - 1, np.inf), np.diff(first) > 0
+    if has_values.any():
+        minima[has_values] = np.minimum.reduceat(values, first[:-1][has_values])
+    return minima

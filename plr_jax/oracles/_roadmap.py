@@ -50,6 +50,7 @@ class Metric:
         return KDTree(self.tree_coordinates(vertices), boxsize=periods)
 
     def tree_coordinates(self, x: Points) -> Points:
+        """Return the coordinates of configurations in the k-d tree, in which distances are those of the metric."""
         # In a k-d tree, periodic axes must run from 0 to below their period.
         around = self.weights * (self.domain.wrapped(x) - self.domain.lo)
         around = np.where(around < self.widths, around, 0.0)  # rounding may reach the full period
@@ -60,12 +61,14 @@ IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, " n"]]
 IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, " n"]]
 _BATCH = 2**18  # configurations tested at a time: a few tens of megabytes
 _EDGES_A_STEP = 2**15  # edges tested between two updates of the progress bar
+# Sampling gives up after so many draws if a smaller part of them is free.
 _MIN_FREE_FRACTION = 1e-4
 _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
     """Return the connection radius of PRM* for ``n >= 2`` vertices, proportional to ``(log n / n)^(1/dim)``."""
+    # Karaman and Frazzoli (2011): gamma = 2 ((1 + 1/d) volume of free space / volume of the unit ball)^(1/d).
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
@@ -119,19 +122,24 @@ def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, " n"]:
     """Return whether straight motions between free points are free, tested at points ``resolution`` apart."""
+    # Divide each motion into equal steps, and test the points between steps, coarsely first: a motion that was found
+    # not to be free is tested no further.
+    #
+    #     a - 1 - 2 - 3 - 4 - 5 - 6 - 7 - b      Of 8 steps, stride 4 tests point 4, stride 2 points 2 and 6, and
+    #                                            stride 1 all odd points: odd multiples of the stride.
     b = metric.domain.image_near(b, a)
-    change, num_steps = b - a, np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
-    visible = np.ones(len(a), dtype=bool)
+    change = b - a
+    num_steps = np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
+    is_visible = np.ones(len(a), dtype=bool)
     stride = 1 << max(int(num_steps.max(initial=0)) - 1, 0).bit_length()
     while stride := stride // 2:
-        # Test odd multiples of the stride; even ones were tested before.
-        num_tests = np.where(visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)
+        num_tests = np.where(is_visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)
         for rows in parts(num_tests, _BATCH):
-            row, odd = ragged_indices(num_tests[rows])
+            row, test = ragged_indices(num_tests[rows])
             motion = rows.start + row
-            x = a[motion] + ((1 + 2 * odd) * stride / num_steps[motion])[:, None] * change[motion]
-            visible[motion[~is_free(x)]] = False
-    return visible
+            x = a[motion] + ((1 + 2 * test) * stride / num_steps[motion])[:, None] * change[motion]
+            is_visible[motion[~is_free(x)]] = False
+    return is_visible
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -188,6 +196,7 @@ class Roadmap:
         resolution: float | None = None,
         weights: ArrayLike | None = None,
     ):
+        # 1. Check the arguments, and wrap the tests so that they check answers.
         require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
         is_free = partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
@@ -203,6 +212,7 @@ class Roadmap:
         else:
             is_visible = partial(_is_visible, domain, is_visible)
         goal = _free_goal(domain, is_free, goal)
+        # 2. Draw vertices, join near ones that see each other, and find shortest paths to the goal.
         samples, free_volume = sample_free(metric, is_free, num_samples, seed)
         vertices = np.concatenate([goal[None], samples])
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
@@ -220,11 +230,12 @@ class Roadmap:
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
         """Build the roadmap of a point robot in a workspace, with exact edge tests; see the class for arguments."""
         require_workspace(workspace)
-        tests = workspace.is_free, workspace.is_visible
         goal = workspace.settled(goal)
-        roadmap = cls(workspace.bounds, tests[0], goal, num_samples, seed=seed, is_visible=tests[1])
-        set_fields(roadmap, _workspace=workspace)
-        return roadmap
+        oracle = cls(
+            workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible
+        )
+        set_fields(oracle, _workspace=workspace)
+        return oracle
 
     def reach(self, domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points that the goal's part of a workspace does not contain.
@@ -240,14 +251,14 @@ class Roadmap:
         """
         goal = _free_goal(self.domain, self.is_free, self._settled(goal))
         samples, edges = self.graph.vertices[1:], self.graph.edges
+        # Replace the goal, vertex 0, and its edges.
         near = np.flatnonzero(self._metric.lengths(goal[None], samples) <= self.radius)
         near = near[self.is_visible(np.tile(goal, (len(near), 1)), samples[near])]
         to_goal = np.stack([np.zeros_like(near), 1 + near], axis=1).astype(edges.dtype)
         vertices = np.concatenate([goal[None], samples])
         edges = np.concatenate([to_goal, edges[(edges > 0).all(axis=1)]])
-        graph, tree = Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices)
         oracle = copy(self)
-        oracle._search(graph, tree)
+        oracle._search(Graph(vertices, edges, self._metric.lengths), self._metric.tree(vertices))
         return oracle
 
     def _search(self, graph: Graph, tree: KDTree) -> None:
@@ -271,10 +282,11 @@ class Roadmap:
         return sum(array.nbytes for array in (self.graph.vertices, self.graph.edges, self.graph.lengths))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the distance of each point ``(n, dim)`` to the goal along the roadmap, ``(n,)``, with ``weights``.
+        """Return the distance ``(n,)`` of each point ``(n, dim)`` to the goal along the roadmap.
 
-        A point that sees no vertex within the radius tries 2, 4, ... times the radius. The distance is ``inf`` for
-        points that are not free, outside the domain or have a NaN, and if no visible vertex leads to the goal.
+        Axes count with the ``weights`` of the constructor. If a point sees no vertex within ``radius``, vertices
+        within 2, 4, ... times the radius are tried. The distance is ``inf`` for a point that is not free, is outside
+        the domain, has a NaN, or sees no vertex from which the goal can be reached.
         """
         return self._first_vertices(as_points("x", self._settled(x), self.dim))[0]
 
@@ -291,44 +303,49 @@ class Roadmap:
         return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _settled(self, x: ArrayLike) -> ArrayLike:
-        if self._workspace is not None:
-            return self._workspace.settled(x)
-        return self.domain.settled(x, self.is_free)
+        return self.domain.settled(x, self.is_free) if self._workspace is None else self._workspace.settled(x)
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        # The vertex is -1 if the point is not free or sees none.
-        answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
+        """Return distances to the goal, and first vertices, -1 if the point is not free or sees no vertex."""
+        distance, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
         while pending.size and inner < diameter:
-            answer[pending], first[pending] = self._connect(x[pending], inner, outer)
+            distance[pending], first[pending] = self._connect(x[pending], inner, outer)
             pending = pending[first[pending] < 0]
             inner, outer = outer, 2 * outer
-        return answer, first
+        return distance, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        # Only vertices between two radii count; -1 if the point sees none of these.
+        """Connect points to the roadmap: return distances to the goal, and first vertices, -1 for none.
+
+        Only vertices count whose distance is above ``inner`` and at most ``outer``.
+        """
+        # 1. Count the vertices near each point, and choose how many points to handle together.
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices
-        distances = np.append(self.distances, np.inf)
         count = self._tree.query_ball_point(places, outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
         distance, first = np.empty(len(x)), np.empty(len(x), int)
-        # The tree's bound is exclusive; if fewer vertices are near, the tree fills up with infinite distances.
+        # The tree's bound is exclusive. If a point has fewer vertices near it than others, the tree fills its row up
+        # with infinite lengths, and the number of vertices as index.
         limit = np.nextafter(outer, np.inf)
+        distances = np.append(self.distances, np.inf)
         begins = range(0, len(x), step)
         for begin in tqdm(begins, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
+            # 2. Find the near vertices, and the length of the path through each; NaN excludes a vertex.
             rows = slice(begin, begin + step)
             batch, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
             length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
             through = length + distances[vertex]
             through[(length <= inner) | np.isinf(length)] = np.nan
-            way, shortest = first_visible(
+            # 3. Take the shortest path whose first vertex is visible. Column -1, if none is, is appended.
+            column, shortest = first_visible(
                 through,
                 lambda point, way, x=batch, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
                 at_once=1,
             )
             vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
-            distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), way[:, 0]]
+            distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), column[:, 0]]
         return distance, first
 
 

@@ -8,7 +8,7 @@ from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
-_SLACK = 4  # multiple of the tolerance by which robots are shrunk
+_SLACK = 4  # workspace tolerances by which robots are shrunk
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
@@ -20,17 +20,17 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
     distances are those of its reference point. Otherwise they are those of a point, which are shorter, as in section
     V-B of the paper.
     """
-    first: dict[float, VisibilityGraph] = {}
+    first: dict[float, VisibilityGraph] = {}  # by radius of inflation
     distance_fns = []
     for robot, goal in zip(problem.robots, problem.goals, strict=True):
         # A robot may overlap a wall by the tolerance, and fits through a passage of exactly its own width.
         radius = max(0.0, robot.inscribed_radius - _SLACK * problem.workspace.tolerance) if inflated else 0.0
         if radius in first:
-            distance_fns.append(first[radius].with_goal(_snapped(goal[:2], first[radius].workspace)))
-            continue
-        workspace = problem.workspace.inflate(radius) if radius > 0 else problem.workspace
-        first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace))
-        distance_fns.append(first[radius])
+            oracle = first[radius].with_goal(_snapped(goal[:2], first[radius].workspace))
+        else:
+            workspace = problem.workspace.inflate(radius) if radius > 0 else problem.workspace
+            oracle = first[radius] = VisibilityGraph(workspace, _snapped(goal[:2], workspace))
+        distance_fns.append(oracle)
     return distance_fns
 
 

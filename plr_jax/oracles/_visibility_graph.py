@@ -1,4 +1,8 @@
-"""Exact shortest-path distances among polygons in the plane, by a visibility graph."""
+"""Exact shortest-path distances among polygons in the plane, by a visibility graph.
+
+Vertices are numbered in two ways: corners from 0, as in ``CornerVisibility``, and vertices of the graph, with the
+goal first, so that corner ``i`` is vertex ``1 + i``.
+"""
 
 import math
 from collections.abc import Sequence
@@ -52,10 +56,10 @@ class VisibilityGraph:
     workspace: Workspace
     goal: Float[np.ndarray, "2"]
     distances: Float[np.ndarray, " vertices"]
-    _parents: Int[np.ndarray, " vertices"]
-    _goal_table: VisibilityTable
-    _turns: TurnPoints
-    _goal_edges: Int[np.ndarray, "edges 2"]
+    _parents: Int[np.ndarray, " vertices"]  # next vertex on each shortest path to the goal, -1 for none
+    _goal_table: VisibilityTable  # what the goal sees
+    _turns: TurnPoints  # corners at which shortest paths may turn first, and from where
+    _goal_edges: Int[np.ndarray, "edges 2"]  # of the graph: 0, and a vertex that the goal sees
     _pairs: PairDistances
     is_lower_bound: ClassVar[bool] = True
     """True: no path of the robot's reference point is shorter."""
@@ -72,6 +76,7 @@ class VisibilityGraph:
     ):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
+        # 1. Find what corners see, and what the goal sees: a table, and corners, -1 for vertices that are none.
         if shared is None:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
@@ -79,11 +84,13 @@ class VisibilityGraph:
             view = viewpoints_at(workspace.triangulation, goal[None])
             goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
             goal_view = goal_table, corners.of_vertex[seen]
-        # Join the goal, vertex 0, to the corners that it sees and that see it.
-        corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
+        # 2. Join the goal, vertex 0, to the corners that it sees and that see it.
+        goal_table, seen_corners = goal_view
+        corner, place = np.setdiff1d(seen_corners, [-1]), goal_table.points[0]
         corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
-        set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_view[0], _goal_edges=edges)
+        set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_table, _goal_edges=edges)
+        # 3. Find shortest paths from all corners to the goal, and from where paths can go to each corner first.
         distances, parents = dijkstra(self.graph, 0)
         turns = find_turn_points(corners.corners.with_goal(place), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
@@ -99,6 +106,7 @@ class VisibilityGraph:
         up to rounding. Small changes take the least time. ``ValueError`` if the goal is no longer in closed free
         space.
         """
+        # 1. Check whether the oracle can be updated, and whether the goal is still free if the map changed around it.
         require_workspace(workspace)
         old, goal = self.workspace, self.goal
         if (old.tolerance, old.squeeze) != (workspace.tolerance, workspace.squeeze):
@@ -106,6 +114,7 @@ class VisibilityGraph:
         change = Change.between(old.boundary, workspace.boundary)
         if any((box[0] <= goal).all() and (goal <= box[2]).all() for box in change.boxes(old.tolerance)):
             _free_goal(workspace, goal)
+        # 2. Update the triangulation, what corners see, and what the goal sees.
         if not workspace.is_triangulated:
             if (triangulation := changed_triangulation(old.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
@@ -130,6 +139,7 @@ class VisibilityGraph:
 
     @cached_property
     def regions(self) -> TurnRegions:
+        """The corners at which paths to the goal may turn first, listed for each triangle of free space."""
         return _turn_regions(self, self._turns, 1)
 
     @cached_property
@@ -143,6 +153,7 @@ class VisibilityGraph:
 
     @cached_property
     def sight(self) -> Sight:
+        """What the ``sources`` see, to test which of them are sources of a convex piece of free space."""
         table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
@@ -225,11 +236,11 @@ class VisibilityGraph:
         distance, turn = self._first_turns(x)
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
-        # From a point at a corner, the path starts towards the next vertex.
-        while (here := (length <= self.workspace.tolerance) & (turn > 0)).any():
-            turn[here] = self._parents[turn[here]]
-            leg[here] = self.graph.vertices[turn[here]] - x[here]
-            length[here] = np.linalg.norm(leg[here], axis=1)
+        # From a point at a corner, the path starts towards the next vertex, at last the goal, vertex 0.
+        while (is_at_turn := (length <= self.workspace.tolerance) & (turn > 0)).any():
+            turn[is_at_turn] = self._parents[turn[is_at_turn]]
+            leg[is_at_turn] = self.graph.vertices[turn[is_at_turn]] - x[is_at_turn]
+            length[is_at_turn] = np.linalg.norm(leg[is_at_turn], axis=1)
         away = (length > self.workspace.tolerance)[:, None]
         return np.divide(leg, length[:, None], out=np.where(np.isnan(leg), np.nan, 0.0), where=away)
 
@@ -237,10 +248,13 @@ class VisibilityGraph:
         return as_points(name, self.workspace.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Return distances to the goal, and the vertex of ``graph`` to which each shortest path goes first."""
+        """Return distances to the goal, and the vertex of ``graph`` to which each shortest path goes first.
+
+        Without a path, the distance is ``inf``, and the vertex 0.
+        """
         if len(x) > FEW:
             return self._first_turns_of_batch(x)
-        distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)
+        distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)  # -1: not answered, as in no triangle
         for i, (x0, x1) in enumerate(x.tolist()):
             if (place := self._pairs.locator.place(x0, x1)) is not None:
                 distance[i], turn[i] = self._first_turn(x0, x1, place)
@@ -249,7 +263,8 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        # Equal to `_first_turns_of_batch`, to the bit.
+        """Return the distance and the first vertex of one point, to the bit as `_first_turns_of_batch` does."""
+        # Go straight to the goal, else to the visible vertex of the least |x - vertex| + distance(vertex).
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
             dx, dy = x - goal_x, y - goal_y
@@ -268,37 +283,39 @@ class VisibilityGraph:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self.family.table.sees
-        # Test what the goal sees at rounded points, and again at the few points that are moved into free space.
+        # 1. Test what the goal sees at rounded points, and again at the few points that are moved into free space.
         grid = mesh.on_grid(x[free])
-        direct = self._goal_table.sees(np.zeros(len(free), int), grid)
-        if len(pending := np.flatnonzero(~direct)):
-            places = mesh.place(x[free[pending]])
-            if (moved := (places.x != grid[pending]).any(axis=1)).any():
-                direct[pending[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
-            places, hidden = places[~direct[pending]], free[~direct]
-            ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
-            turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
-        seen = free[direct]
+        is_direct = self._goal_table.sees(np.zeros(len(free), int), grid)
+        if len(others := np.flatnonzero(~is_direct)):
+            places = mesh.place(x[free[others]])
+            if (is_moved := (places.x != grid[others]).any(axis=1)).any():
+                is_direct[others[is_moved]] = self._goal_table.sees(np.zeros(is_moved.sum(), int), places.x[is_moved])
+            # 2. From other points, find the shortest path over a visible corner.
+            places, hidden = places[~is_direct[others]], free[~is_direct]
+            first, shortest = self.regions.first_visible(x[hidden], places, lambda at, v: sees(v - 1, places.x[at]))
+            turn[hidden], distance[hidden] = np.maximum(first, 0), shortest
+        seen = free[is_direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
         return distance, turn
 
 
 def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
     """Return a box's convex pieces of free space, and the goals or corners to which paths from each may go first."""
+    # 1. Let all oracles share corners: those that were not made of one another may number them in different ways.
     first, count = graphs[0], len(graphs)
-    # Oracles that were not made of one another may number corners in different ways.
     graphs = [oracle if oracle.family is first.family else first.with_goal(oracle.goal) for oracle in graphs]
     corners, tables = first.family, [oracle._goal_table for oracle in graphs]
+    # 2. Join the graphs: goal i is vertex i, corner j is vertex count + j. In `_goal_edges`, rows are (0, 1 + j).
     edges = [np.array([i, count - 1]) + oracle._goal_edges for i, oracle in enumerate(graphs)]
     points = corners.corners.with_goal(*(oracle.goal for oracle in graphs)).points
     graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
     distances, parents = dijkstra(graph, np.arange(count))
+    # 3. Find the sources. If several goals are equal, the first of them counts.
     vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
     turns = find_turn_points(vertices, distances, parents, count)
-    table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
     _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
     sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
-    sight = goal_sight(sources, turns, table, triangulation, count)
+    sight = goal_sight(sources, turns, joined_tables([*tables, corners.table]), first.workspace.triangulation, count)
     lists = lists_of_goal(_turn_regions(first, turns, count), count)
     return CellSources.of_boxes(sight, lists, domain.lo[None], domain.hi[None])
 

@@ -1,8 +1,9 @@
 """Construction of a PairPLR: distances between any two points of a planar workspace, stored in one file.
 
-The boundary of free space is rounded to a lattice, and cells are halved. Each leaf lists the corners at which
-shortest paths from it may turn first. A query tries these corners. Those that its point does not see cost time in
-vain, so cells with many such corners are halved first.
+:func:`construct_stored` rounds the boundary of free space to a lattice (:func:`outline_of`), joins corners by edges,
+and halves cells (:func:`grow_lists`). Each leaf lists the corners at which shortest paths from it may turn first. A
+query tries these corners. Corners that its point does not see cost time in vain, so cells with many such corners are
+halved first.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import shortened, take_ragged
+from plr_jax._arrays import concatenated, shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary, vertices_near_edges
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
@@ -32,7 +33,7 @@ from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
 PointIndices = Int[np.ndarray, "points"]  # a number for each point of an outline
-_FINEST_EVER = 2.0**-37  # domain widths: files hold coordinates of up to 39 bits
+_FINEST_EVER = 2.0**-37  # finest lattice step at all, in domain widths: files hold coordinates of up to 39 bits
 _SLACK = 8  # number of workspace tolerances by which visibility may err
 
 
@@ -45,7 +46,8 @@ def outline_of(
     ``tolerance``, if steps of at least 6e-8 widths allow it.
     """
     vertices, edges = boundary.vertices, boundary.edges
-    # 1. Follow the rings. After an edge from a to b, the next edge starts at b, and its sector ends at a.
+    # 1. Follow the rings. Where obstacles touch, several edges leave a vertex b. After an edge from a to b comes the
+    #    edge that leaves b and whose sector of free space, which lies between both, ends at a.
     sectors = zip(edges[:, 0].tolist(), boundary.sector_end.tolist(), strict=True)
     leaving = {sector: edge for edge, sector in enumerate(sectors)}
     order, first = _rings_of(np.array([leaving[b, a] for a, b in edges.tolist()]))
@@ -56,12 +58,12 @@ def outline_of(
     apart: Any = shapely.distance(shapely.points(vertices[near]), walls)
     step = lattice_step(vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
     points = np.rint((vertices - origin) / step).astype(np.int64)
-    index = edges[order, 0]
-    return Outline(origin, step, points[index], first, may_squeeze=False), index
+    vertex = edges[order, 0]
+    return Outline(origin, step, points[vertex], first, may_squeeze=False), vertex
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
-    """Return all points, ring by ring, and where each ring begins; ``following`` has each next point."""
+    """Return all points, ring by ring, and where each ring begins; point ``following[i]`` comes after point ``i``."""
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -76,8 +78,9 @@ def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " 
 def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
     """Follow the walls around obstacles instead of free space, so that paths may pass where obstacles touch.
 
-    If a wall of a thin obstacle ends in a contact, all contacts stay closed: the wall stays when walls move back, so
-    it might hide a corner in the contact, or fail to. Paths then join corners in the sectors of free space beside it.
+    Return the new outline, and the boundary vertex at each of its points, given those of the old outline. If a wall
+    of a thin obstacle ends in a contact, all contacts stay closed: the wall stays when walls move back, so it might
+    hide a corner in the contact, or fail to. Paths then join corners in the sectors of free space beside it.
     """
     is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
     if (outline.is_contact & is_beside_thin).any():
@@ -88,13 +91,17 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
-    # The largest power of two or ten to whose multiples points round distinctly, within the tolerance.
+    """Return the largest power of two or ten to whose multiples points round distinctly, within the tolerance.
+
+    Coordinates change by at most a quarter of the ``clearance``, the least distance of a point from a wall that does
+    not end there. If steps of at least ``FINEST`` widths are too coarse, return a finer power of two.
+    """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
-        steps_away = np.rint(points / step)
-        moved = np.abs(points - step * steps_away).max(initial=0.0)
-        if moved <= min(tolerance, clearance / 4) and len(np.unique(steps_away, axis=0)) == len(points):
+        rounded = np.rint(points / step)
+        moved = np.abs(points - step * rounded).max(initial=0.0)
+        if moved <= min(tolerance, clearance / 4) and len(np.unique(rounded, axis=0)) == len(points):
             return float(step)
     step = min(FINEST * width, max(clearance / 4, _FINEST_EVER * width))
     return float(2.0 ** np.floor(np.log2(step)))
@@ -109,22 +116,20 @@ class Lists:
     """Cells of the domain, and for each the corners of obstacles at which shortest paths from it may turn first."""
 
     cells: Cells
+    # List entries: a cell, by its index, and a corner.
     cell: Int[np.ndarray, " entries"]  # ascending
     corner: Int[np.ndarray, " entries"]
     by_all: Bool[np.ndarray, " entries"]  # whether all of the cell is known to see the corner
 
     def of_cells(self, rows: Int[np.ndarray, " some"]) -> "Lists":
+        """Return the lists of the cells at these indices, in their order."""
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
         entries, cell = take_ragged(first, rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
-        return Lists(
-            self.cells.append(other.cells),
-            np.concatenate([self.cell, len(self.cells) + other.cell]),
-            np.concatenate([self.corner, other.corner]),
-            np.concatenate([self.by_all, other.by_all]),
-        )
+        cell = np.concatenate([self.cell, len(self.cells) + other.cell])
+        return Lists(self.cells.append(other.cells), cell, *concatenated([self, other], "corner", "by_all"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +146,11 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
+        """Return the leaves of the tree in which only nodes with a larger key are halved."""
+        # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         is_halved = ~self.is_leaf & (self.key > key)
-        of_halved = np.append(True, is_halved[self.parent[1:]])
-        return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
+        is_in_tree = np.append(True, is_halved[self.parent[1:]])
+        return self.lists.of_cells(np.flatnonzero(is_in_tree & ~is_halved))
 
 
 def grow_lists(
@@ -153,6 +160,8 @@ def grow_lists(
 
     Halvings that help least are undone until the file, whose size ``num_bytes`` computes, fits ``limits.max_bytes``.
     """
+    # 1. Halve the cells of the largest keys in each round, until halving more makes queries no faster or a limit is
+    #    reached. The sum of keys is the area times the mean number of corners tried in vain (see `_keyed_lists`).
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     stop_at = _IN_VAIN * areas(root.pieces).sum()
 
@@ -164,8 +173,9 @@ def grow_lists(
         return _halved(tree, leaves[key > _LEAST_RELATIVE_KEY * key.max()], domain, limits)
 
     tree = grow(tree, halved, limits)
+    # 2. Find the least threshold of keys whose leaves fit, by bisection. The last key as threshold halves nothing.
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
-    low, high = 0, len(keys) - 1  # the last key as threshold halves nothing
+    low, high = 0, len(keys) - 1
     while low < high:
         middle = (low + high) // 2
         leaves = tree.leaves_above(keys[middle])
@@ -176,28 +186,31 @@ def grow_lists(
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
     """Halve cells of leaves ``nodes`` along their longest axis, and list the corners of both halves."""
-    leaves = np.flatnonzero(tree.is_leaf)
+    # The halves of all nodes are appended to the tree: lower, upper, lower, upper, ...
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)
     halves = cells.split(axis)
+    leaves = np.flatnonzero(tree.is_leaf)  # `tree.visible` has its cells in this order
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
     visible = tree.visible.parts(place, np.repeat(axis, 2), is_upper, *halves.grown_boxes(domain))
     lists, key = _keyed_lists(visible, halves, limits)
     key = np.minimum(key, np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
     is_leaf[nodes] = False
-    stay = np.flatnonzero(is_leaf[leaves])
+    unchanged = np.flatnonzero(is_leaf[leaves])
     return _ListTree(
         tree.lists.append(lists),
         np.append(tree.key, key),
         np.append(is_leaf, np.ones(len(halves), bool)),
         np.append(tree.parent, np.repeat(nodes, 2)),
-        tree.visible.of_cells(stay).append(visible),
+        tree.visible.of_cells(unchanged).append(visible),
     )
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:
-    # A cell's key is the area of its free space, times the number of listed corners that not all of it may see.
+    """Return the cells' lists of corners, and their keys, priorities of halving."""
+    # A cell's key is the area of its free space, times the number of listed corners that not all of it may see. It is
+    # 0 if the cell may not be halved.
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))
@@ -205,6 +218,7 @@ def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Li
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
+    """Return the convex pieces of free space in the domain, one cell, and the corners that each piece may see."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 
@@ -214,31 +228,36 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
-    domain, boundary = workspace.bounds, workspace.boundary
+    domain = workspace.bounds
     limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame_size(domain))
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
+    # 1. Round the boundary of free space to a lattice, and find its corners.
     visibility = corner_visibility(workspace)
     width = float(domain.width.max())
-    outline, vertex = outline_of(boundary, domain.lo, width, workspace.tolerance)
+    outline, vertex = outline_of(workspace.boundary, domain.lo, width, workspace.tolerance)
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
     if workspace.squeeze:
         outline, vertex = with_open_contacts(outline, vertex)
+    # `corner` has outline points, `of_corner` the index of each of them in `visibility`.
     corner, of_corner = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
     if len(corner) > MOST_CORNERS:
         raise ValueError(
             f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(corner):,}: simplify its polygons, "
             "or ask a VisibilityGraph."
         )
+    # The file's indices of corner c of `visibility` are `order[first[c] : first[c + 1]]`: several, such as two at a
+    # sharp tip, or none.
     order = np.argsort(of_corner, kind="stable")
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        # The file has two points for a corner at a sharp tip. The second result is each index's row in `corners`.
-        rows, row = take_ragged(first, corners)
-        return order[rows], row
+        # Return indices in the file of corners of `visibility`, and for each its row in `corners`.
+        place, row = take_ragged(first, corners)
+        return order[place], row
 
-    # 1. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
+    # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
+    #    Join points of the same corner, too. Sort pairs by the later corner, then by the earlier corner.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
     start, row_a = in_file(a[is_taut])
@@ -246,24 +265,24 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     same = np.flatnonzero(of_corner[order[1:]] == of_corner[order[:-1]])
     pairs = np.concatenate([np.stack([start[row_b], end], axis=1), np.stack([order[same], order[same + 1]], axis=1)])
     edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
-    # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
+    # 3. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
     true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
     moved = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0))
-    largest = 0.0
+    change = 0.0  # the largest one of a distance between corners
     for (_, exact), (_, rough) in zip(*(distances_by_rows(points, edges) for points in (true, rounded)), strict=True):
-        with np.errstate(invalid="ignore"):
-            largest = max(largest, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))
-    rounding = np.float32(2 * moved + largest + _SLACK * workspace.tolerance)
-    rounding = float(np.nextafter(rounding, np.float32(np.inf)))
+        with np.errstate(invalid="ignore"):  # `exact` and `rough` may both be infinite
+            change = max(change, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))
+    # The file has 32 bits, so round up.
+    rounding = float(np.nextafter(np.float32(2 * moved + change + _SLACK * workspace.tolerance), np.float32(np.inf)))
 
-    # 3. Grow the leaves and their lists.
+    # 4. Grow the leaves and their lists.
     def file_data(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
         listed, row = in_file(lists.corner)
-        place = np.argsort(tree.order)[lists.cell[row]]
-        by_leaf = np.lexsort((listed, place))
-        return PairsFileData(domain, outline, corner, edges, tree, place[by_leaf], listed[by_leaf], rounding)
+        leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
+        by_leaf = np.lexsort((listed, leaf))
+        return PairsFileData(domain, outline, corner, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
 
     most = min(limits.max_leaves, most_leaves(len(corner)))
     root = corners_seen(visibility, workspace.triangulation, domain)
@@ -280,15 +299,21 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 def corners_in_outline(
     outline: Outline, vertex: PointIndices, corner_of_vertex: Int[np.ndarray, " vertices"], squeezes: bool
 ) -> tuple[Int[np.ndarray, " corners"], Int[np.ndarray, " corners"]]:
-    # `vertex` is the boundary vertex at each point of the outline, -1 for none.
-    of_point = np.append(corner_of_vertex, -1)[vertex]
+    """Return the outline points that are corners, ascending, and for each the index of its corner of the workspace.
+
+    ``vertex`` is the boundary vertex at each point of the outline, -1 for none; ``corner_of_vertex`` the corner of
+    the workspace at each vertex, -1 for none.
+    """
+    # 1. Find the points of corners, and choose one point for each corner: the first reflex one, else the first one.
+    of_point = np.append(corner_of_vertex, -1)[vertex]  # the last entry is for vertex -1
     candidates = np.flatnonzero(of_point >= 0)
     candidates = candidates[np.argsort(~outline.is_reflex[candidates], kind="stable")]
-    first = candidates[np.unique(of_point[candidates], return_index=True)[1]]
+    chosen = candidates[np.unique(of_point[candidates], return_index=True)[1]]
     is_corner = np.zeros(len(vertex) + 1, bool)
-    is_corner[first] = True
-    is_corner[first + 1] |= np.append(vertex, -1)[first + 1] == vertex[first]  # sharp tips have two points
-    # If paths squeeze through closed contacts, they lead from any sector of free space beside it into any other.
+    is_corner[chosen] = True
+    # 2. Sharp tips have two points, one after the other.
+    is_corner[chosen + 1] |= np.append(vertex, -1)[chosen + 1] == vertex[chosen]
+    # 3. If paths squeeze through closed contacts, they lead from any sector of free space beside it into any other.
     is_corner[candidates] |= squeezes & outline.is_contact[candidates]
     corner = np.flatnonzero(is_corner)
     return corner, of_point[corner]

@@ -20,15 +20,15 @@ from tqdm import tqdm
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import pytree
 
-# Lengths of steps in units: integers, so that sums are exact in any order.
+# Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
 DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
 
 
 def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
-    # Integers: a straight step has the length `STRAIGHT[connectivity]`.
+    """Return the path length in units, on an empty grid, of cells that are so many rows and columns apart."""
     straight = abs(rows - columns)
-    diagonal = (rows + columns - straight) // 2
+    diagonal = (rows + columns - straight) // 2  # the smaller of rows and columns
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
 
 
@@ -40,7 +40,10 @@ _TOO_LARGE = (
     "use a GridGraph, which searches."
 )
 _TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
-_DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+_DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # steps along rows and columns
+# Blocked diagonals around which paths from cells straight ahead, straight aside, and both ahead and aside can bend:
+# those that are ahead, those that are aside, and those that are one of both. Rows lead aside, columns ahead.
+_TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 _AT_ONCE = 2**22  # cells listed in one step
 Grid = Bool[np.ndarray, "rows columns"]
 _Cells = Int[np.ndarray, "pairs"]
@@ -52,67 +55,76 @@ def corner_cells(free: Grid) -> Grid:
 
 
 def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
-    """Return all pairs of obstacle corners, by index, that see each other with no third corner in between."""
+    """Return all pairs of obstacle corners that see each other with no third corner in between.
+
+    Corners are numbered in row-major order. The two arrays hold the smaller and the larger number of each pair.
+    """
     places = np.flatnonzero(corner_cells(free))
-    number = np.full(free.size, -1, np.int32)
-    number[places] = np.arange(len(places))
-    pairs = [np.zeros(0, np.int64)]
+    corner_at = np.full(free.size, -1, np.int32)  # by cell, -1 for none
+    corner_at[places] = np.arange(len(places))
+    keys = [np.zeros(0, np.int64)]  # corners i < j have the key i * len(places) + j
     for sector in _sectors(free, connectivity):
-        corners = np.logical_or.reduce(list(sector.blocked.values()))
-        for corner, width, aside in _scan(sector, corners, corners):
-            last = number[sector.cells(corner, aside, width - 1)]  # no run continues past a corner
-            other = (last >= 0) & (last != corner)
-            ends = corner[other], last[other]
-            pairs.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
-    return np.divmod(np.unique(np.concatenate(pairs)), max(len(places), 1))
+        is_corner = np.logical_or.reduce(list(sector.blocked.values()))
+        for corner, width, row in _scan(sector, is_corner, is_corner):
+            last = corner_at[sector.cells(corner, row, width - 1)]  # no run of cells continues past a corner
+            is_pair = (last >= 0) & (last != corner)
+            ends = corner[is_pair], last[is_pair]
+            keys.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
+    return np.divmod(np.unique(np.concatenate(keys)), max(len(places), 1))
 
 
 def taut_corners(
     free: Grid, connectivity: int
 ) -> tuple[Int[np.ndarray, " cells_plus_one"], Int32[np.ndarray, " pairs"]]:
-    """Return, as a CSR matrix, the obstacle corners where a shortest path from each cell of a grid may bend first."""
+    """Return, as a CSR matrix, the obstacle corners where a shortest path from each cell of a grid may bend first.
+
+    With the result ``(first, corners)``, the corners of cell ``i`` are ``corners[first[i] : first[i + 1]]``.
+    """
     from scipy.sparse import csr_array
 
-    # 1. Collect runs of cells that are taut at a corner: corner, first cell, step, number of cells.
-    runs = [np.zeros((4, 0), np.int64)]
+    # 1. Collect runs of cells that are taut at a corner c, row by row of each sector: a shortest path from them can
+    #    bend at c, around a blocked diagonal neighbor of c. In a quadrant, cells are straight ahead of c (A),
+    #    straight aside (S), or both ahead and aside (B). In an octant, each row begins with a cell of kind B.
+    #
+    #       2 | S B B      Cells A are taut if a blocked diagonal is ahead, cells S if one is aside, and cells B if
+    #       1 | S B B      one is ahead or aside but not both (`_TAUT`).
+    #       0 | c A A
+    #
+    #    Cells past another corner, at which they are taut, are listed for that corner only. Such cells are further
+    #    ahead and a blocked diagonal is ahead, or they are further aside and one is aside. A diagonal step goes ahead
+    #    as well as aside.
+    runs = [np.zeros((4, 0), np.int64)]  # corner, first cell, step, number of cells
     for sector in _sectors(free, connectivity):
-        # Paths from cells past a corner can bend at it ("taut") if the cells are further ahead and a blocked diagonal
-        # is ahead, or further aside and one is aside. A diagonal step goes ahead as well.
         blocked = sector.blocked
-        at = {along: cells[sector.row, sector.column] for along, cells in blocked.items()}
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
-        # Whether cells are taut at a corner: those straight ahead, straight aside, and both ahead and aside.
-        if_ahead, if_aside, if_both = (at[diagonal] | at[other_diagonal] for diagonal, other_diagonal in _TAUT)
-        straight = if_both if sector.slanted else if_aside
-        for corner, width, rows in _scan(sector, ahead, ahead | aside if sector.slanted else aside):
-            if rows:
-                starts, goes_on = straight[corner] & sector.keeps_aside, if_both[corner]
-            else:
-                starts, goes_on = np.zeros(len(corner), bool), if_ahead[corner] & sector.keeps_ahead
-            begin = np.where(starts, 0, 1)
-            length = np.where(goes_on, width, 1) - begin
-            some = length > 0
-            first = sector.cells(corner[some], rows, begin[some])
-            runs.append(np.stack([corner[some], first, np.full(len(first), sector.column_step), length[some]]))
+        has_blocked = {diagonal: cells[sector.row, sector.column] for diagonal, cells in blocked.items()}
+        is_taut_ahead, is_taut_aside, is_taut_both = (has_blocked[one] | has_blocked[other] for one, other in _TAUT)
+        is_first_taut = is_taut_both if sector.is_slanted else is_taut_aside
+        for corner, width, row in _scan(sector, ahead, ahead | aside if sector.is_slanted else aside):
+            if row:
+                has_first, has_others = is_first_taut[corner] & sector.keeps_aside, is_taut_both[corner]
+            else:  # the first cell is the corner itself
+                has_first, has_others = np.zeros(len(corner), bool), is_taut_ahead[corner] & sector.keeps_ahead
+            begin = np.where(has_first, 0, 1)
+            length = np.where(has_others, width, 1) - begin
+            is_run = length > 0
+            first = sector.cells(corner[is_run], row, begin[is_run])
+            runs.append(np.stack([corner[is_run], first, np.full(len(first), sector.column_step), length[is_run]]))
     taut = np.concatenate(runs, axis=1)
     if taut[3].sum() > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     corner, first, step, length = taut[:, np.argsort(taut[0], kind="stable")]
     # 2. List the cells of these runs by corner.
     cells, end = np.empty(int(length.sum()), np.int32), 0
-    for some in parts(length, _AT_ONCE):
-        run, place = ragged_indices(length[some])
-        cells[end : end + len(run)] = first[some][run] + step[some][run] * place
+    for part in parts(length, _AT_ONCE):
+        run, place = ragged_indices(length[part])
+        cells[end : end + len(run)] = first[part][run] + step[part][run] * place
         end += len(run)
     num_corners = int(corner.max(initial=-1)) + 1
     first = np.append(0, np.cumsum(np.bincount(corner, weights=length, minlength=num_corners))).astype(np.int32)
     # 3. List the corners by cell: transpose a sparse matrix, in linear time.
     table = csr_array((np.ones(len(cells), np.int8), cells, first), shape=(num_corners, free.size)).tocsc()
     return table.indptr, table.indices
-
-
-# Blocked diagonals around which paths from cells straight ahead, straight aside, and both ahead and aside can bend.
-_TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 
 @dataclass(frozen=True)
@@ -126,78 +138,85 @@ class _Sector:
         0 | c . . .       of a quadrant right beside the corner.
     """
 
-    free: Grid
-    blocked: dict[tuple[int, int], Grid]
-    row: Int[np.ndarray, " corners"]
+    free: Grid  # the view
+    blocked: dict[tuple[int, int], Grid]  # corners with a blocked neighbor, by the neighbor's direction in the view
+    row: Int[np.ndarray, " corners"]  # of each corner in the view
     column: Int[np.ndarray, " corners"]
     origin: int  # number in the grid of the view's first cell
     row_step: int
     column_step: int
-    slanted: bool  # whether the sector is an octant
+    is_slanted: bool  # whether the sector is an octant
     keeps_ahead: bool  # whether this one of two adjacent sectors owns the cells straight ahead of a corner
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
-        # The numbers, in the grid, of cells of corners' sectors.
-        column = self.column[corner] + ahead + (aside if self.slanted else 0)
+        # The numbers, in the grid, of one cell of each corner's sector: in row `aside`, at index `ahead` of the row.
+        column = self.column[corner] + ahead + (aside if self.is_slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
 
 def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
     """Yield the sectors of all corners: four quadrants, or eight octants if steps may be diagonal."""
+    # A view is the grid, transposed or not, with rows reversed if flipped, with columns reversed if mirrored.
     corners = np.nonzero(corner_cells(free))
-    slanted = connectivity == 8
-    for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
-        view = np.ascontiguousarray(
-            (free.T if transposed else free)[:: -1 if flipped else 1, :: -1 if mirrored else 1]
-        )
-        (row, column), steps = corners, (free.shape[1], 1)
-        if transposed:
+    is_slanted = connectivity == 8
+    both = (False, True)
+    for is_transposed, is_flipped, is_mirrored in product(both[: 1 + is_slanted], both, both):
+        view = free.T if is_transposed else free
+        view = np.ascontiguousarray(view[:: -1 if is_flipped else 1, :: -1 if is_mirrored else 1])
+        (row, column), steps = corners, (free.shape[1], 1)  # steps between rows and columns, in numbers of cells
+        if is_transposed:
             row, column, steps = column, row, steps[::-1]
         last_row, last_column = view.shape[0] - 1, view.shape[1] - 1
         yield _Sector(
             free=view,
             blocked=dict(zip(_DIAGONALS, _blocked_diagonals(view), strict=True)),
-            row=last_row - row if flipped else row,
-            column=last_column - column if mirrored else column,
-            origin=last_row * steps[0] * flipped + last_column * steps[1] * mirrored,
-            row_step=-steps[0] if flipped else steps[0],
-            column_step=-steps[1] if mirrored else steps[1],
-            slanted=slanted,
+            row=last_row - row if is_flipped else row,
+            column=last_column - column if is_mirrored else column,
+            origin=last_row * steps[0] * is_flipped + last_column * steps[1] * is_mirrored,
+            row_step=-steps[0] if is_flipped else steps[0],
+            column_step=-steps[1] if is_mirrored else steps[1],
+            is_slanted=is_slanted,
             # Flipped sectors share the cells ahead; mirrored quadrants or transposed octants, the cells aside.
-            keeps_ahead=not flipped,
-            keeps_aside=not (transposed if slanted else mirrored),
+            keeps_ahead=not is_flipped,
+            keeps_aside=not (is_transposed if is_slanted else is_mirrored),
         )
 
 
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
-    # Yield, row by row, the corners that still see cells of the row, how many cells each sees, and the row's number.
-    # Row `i` is `i` rows aside of the corner and extends ahead of it. A row ends with its first cell in `ends_row`.
-    # Later rows are at most as long, and end before the columns of cells in `ends_later`.
+    """Yield, row by row of the sectors, the corners that still see cells of the row, how many, and the row's number.
+
+    Row ``i`` is ``i`` rows aside of the corner and extends ahead of it. A row ends with its first cell in
+    ``ends_row``. Later rows are at most as long, and end before the column (in an octant: the diagonal) of each cell
+    in ``ends_later``.
+    """
+    # A corner sees a cell of the next row if it sees the cell before it, straight or diagonally, and all cells up to
+    # there allow this step.
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
-    if sector.slanted:
+    if sector.is_slanted:
         may_step_aside &= beside[:-1, 1:] & beside[1:, 1:]
-    to_blocked, to_end = _steps_to(~sector.free), _steps_to(ends_row)
-    to_later, to_illegal = _steps_to(ends_later), _steps_to(~may_step_aside)
-    row, column = sector.row, sector.column
+    to_end, to_later, to_illegal = map(_steps_to, (ends_row, ends_later, ~may_step_aside))
+    row, column = sector.row, sector.column  # of the first cell of each corner's current row
     corner, aside = np.arange(len(row)), 0
-    width = to_blocked[row, column]
+    width = _steps_to(~sector.free)[row, column]
     while len(corner):
+        # A row has the cells up to its first one in `ends_row`, `end + 1` cells if it is long enough. The next row
+        # has at most as many, and only those before the first cell in `ends_later` and before the first illegal step.
         offset = int(aside == 0)  # the corner itself ends nothing
         end, later = (steps[row, column + offset] + offset for steps in (to_end, to_later))
         yield corner, np.minimum(width, end + 1), aside
         width = np.minimum.reduce([width, end + 1, later, to_illegal[row, column]])
         aside += 1
-        seeing = width > 0
-        corner, width, row = corner[seeing], width[seeing], row[seeing] + 1
-        column = column[seeing] + int(sector.slanted)
+        is_seeing = width > 0
+        corner, width, row = corner[is_seeing], width[is_seeing], row[is_seeing] + 1
+        column = column[is_seeing] + int(sector.is_slanted)
 
 
 def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
     """Return the steps from each cell to the first wanted cell at or after it in its row, or to the row's end."""
     rows, columns = wanted.shape
-    place = np.full((rows, columns + 1), columns, np.int32)
+    place = np.full((rows, columns + 1), columns, np.int32)  # the column of wanted cells, else the row's end
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)
     return np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1] - np.arange(columns + 1, dtype=np.int32)
 
@@ -216,10 +235,11 @@ def _blocked_diagonals(free: Grid) -> Shaped[np.ndarray, "4 rows columns"]:
 _NO_PATH = FAR + 2**20  # FAR or more even after adding differences to it
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # twice as many steps, in units, fit into 8 or 16 bits
 _MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
-_ANCESTOR_BYTES = 8
+_ANCESTOR_BYTES = 8  # of an ancestor and the distance to it
 
 
 def looked_up(table: Any, index: Any) -> Any:
+    """Return entries of a table, in NumPy or JAX like the index, which must be in the range."""
     if isinstance(index, np.ndarray):
         return np.asarray(table)[index]
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
@@ -231,10 +251,11 @@ class CornerTable:
 
     center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
-    # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
+    # The distance of corners a >= b, minus the distance between the centers near both, is at index a (a + 1) / 2 + b.
     differences: Integer[Array, " triangle"]
 
     def between(self, a: Any, b: Any) -> Any:
+        """Return distances between corners ``a`` and ``b``, arrays that broadcast; at least FAR without a path."""
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         high, low = xp.maximum(a, b), xp.minimum(a, b)
         center, other = (looked_up(self.center, corner).astype(np.int32) for corner in (a, b))
@@ -256,52 +277,53 @@ class CornerLabels:
 
     def between(self, a: Any, b: Any) -> Any:
         """Return distances between corners ``a`` and ``b``, arrays that broadcast; ``_NO_PATH`` without a path."""
+        # Lists of ancestors begin at the root. So both lists begin alike, and agree nowhere after they first differ.
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
-        common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
+        shorter = xp.minimum(*(looked_up(self.first, end + 1) - looked_up(self.first, end) for end in (a, b)))
 
         def at(table: Int32[Array, " ancestors"], place: Any) -> list[Any]:
             last = len(table) - 1
             return [looked_up(table, xp.minimum(begin + place, last)) for begin in begins]
 
         def is_common(place: Any) -> Any:
-            one, other = at(self.ancestor, place)
-            return (place < common) & (one == other)
+            of_a, of_b = at(self.ancestor, place)
+            return (place < shorter) & (of_a == of_b)
 
-        def with_place(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        def after_place(state: tuple[Any, Any]) -> tuple[Any, Any]:
             place, least = state
-            one, other = at(self.length, place)
-            return place + 1, xp.where(is_common(place), xp.minimum(least, one + other), least)
+            from_a, from_b = at(self.length, place)
+            return place + 1, xp.where(is_common(place), xp.minimum(least, from_a + from_b), least)
 
-        start = xp.int32(0), xp.full(common.shape, _NO_PATH, np.int32)
+        state = xp.int32(0), xp.full(shorter.shape, _NO_PATH, np.int32)
         if xp is np:
-            while is_common(start[0]).any():
-                start = with_place(start)
-            return start[1]
-        return lax.while_loop(lambda state: is_common(state[0]).any(), with_place, start)[1]
+            while is_common(state[0]).any():
+                state = after_place(state)
+            return state[1]
+        return lax.while_loop(lambda state: is_common(state[0]).any(), after_place, state)[1]
 
 
-_Edges = list[dict[int, int]]
+_Edges = list[dict[int, int]]  # for each corner, lengths of edges by their other end
 
 
 def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
     """Return path lengths between all obstacle corners of a grid; ``ValueError`` if they are too many or too long."""
-    most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds the legs
+    most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds two straight legs
     if most < 0:
         raise ValueError(_TOO_LONG)
-    # 1. Build the graph of corners that see each other: edge lengths by their other end.
+    # 1. Build the graph of corners that see each other.
     places = np.flatnonzero(corner_cells(free))
     ends = corners_in_sight(free, connectivity)
     (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
     lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
     edges: _Edges = [{} for _ in places]
-    for a, b, length in zip(*(one.tolist() for one in (*ends, lengths)), strict=True):
+    for a, b, length in zip(*(column.tolist() for column in (*ends, lengths)), strict=True):
         edges[a][b] = edges[b][a] = length
     size, kind = len(edges) * (len(edges) + 1) // 2, np.dtype(np.int8 if connectivity == 4 else np.int16)
     has_table = len(edges) <= MOST_IN_TABLE
     if has_table and size * kind.itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
-    # 2. Eliminate corners, and compute distances in reverse order.
+    # 2. Eliminate corners, and compute distances in reverse order: to ancestors if there are many corners, else all.
     with tqdm(
         desc="construct_grid_pairs", unit=" corners", total=2 * len(edges), delay=2, leave=False, disable=None
     ) as progress:
@@ -312,30 +334,39 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
                 raise ValueError(_TOO_LONG)
             return labels
         distances = _all_pairs(order, uppers, progress)
-    part = np.arange(len(order))  # connected component: the last eliminated corner has no neighbors left
+    # 3. Check that all corners of a connected component have distances below `most`. The corner of a component that
+    #    is eliminated last, which has no neighbors left, stands for the component.
+    component = np.arange(len(order))
     for corner in reversed(order):
-        part[corner] = part[next(iter(uppers[corner]), corner)]
-    if np.count_nonzero(distances < most) != (np.bincount(part, minlength=1) ** 2).sum():
+        component[corner] = component[next(iter(uppers[corner]), corner)]
+    if np.count_nonzero(distances < most) != (np.bincount(component, minlength=1) ** 2).sum():
         raise ValueError(_TOO_LONG)
-    # 3. Choose centers so that each corner is near one, and store differences from distances between centers.
+    # 4. Choose centers so that each corner is near one. Distances differ from distances between the centers of both
+    #    corners by at most twice the radius, so that the differences need few bits.
     radius = _MOST_STEPS_FROM_CENTER[connectivity] * STRAIGHT[connectivity]
     center, centers = np.full(len(distances), -1), []
-    for corner, row in enumerate(distances):
+    for corner, lengths in enumerate(distances):
         if center[corner] < 0:
-            center[(center < 0) & (row <= radius)] = len(centers)
+            center[(center < 0) & (lengths <= radius)] = len(centers)
             centers.append(corner)
-    centers = np.array(centers, np.int64)
     between = distances[np.ix_(centers, centers)]
     differences = np.empty(size, kind)
-    for corner, row in enumerate(distances):
+    for corner, lengths in enumerate(distances):
         begin = corner * (corner + 1) // 2
         expected = between[center[corner], center[: corner + 1]]
-        differences[begin : begin + corner + 1] = row[: corner + 1] - expected
+        differences[begin : begin + corner + 1] = lengths[: corner + 1] - expected
     return CornerTable(*map(jnp.asarray, (center.astype(np.min_scalar_type(len(centers))), between, differences)))
 
 
 def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
-    # The edges of a corner remain those at its elimination, to corners that are eliminated later.
+    """Eliminate all corners; return their order, and the edges of each corner to corners eliminated later.
+
+    Modifies ``edges`` in place: they become the edges that corners have when they are eliminated.
+    """
+    # Eliminate corners with few neighbors first, because all their neighbors are joined to one another, and corners
+    # of low level, because the tree of ancestors should be shallow. The level is the length of the longest chain of
+    # corners eliminated before, each of which was a neighbor of the next. A corner is pushed again when either
+    # changes; older entries of the heap are skipped.
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
     heapq.heapify(heap)
@@ -352,6 +383,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
         if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > _MOST_BYTES):
             raise ValueError(_TOO_LARGE)
         progress.update()
+        # Join the neighbors a and b of the corner v: w(a, b) becomes at most w(a, v) + w(v, b). Remove v.
         for a, to_a in nearby.items():
             of_a = edges[a]
             del of_a[corner]
@@ -364,7 +396,8 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
-    """Return the distances of each corner to its ancestors, in the reverse order of elimination."""
+    """Return the distances of each corner to its ancestors, listed in the reverse order of elimination."""
+    # 1. A corner's parent is the neighbor eliminated next. Its depth is the number of ancestors above it.
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
@@ -372,21 +405,26 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
         if uppers[corner]:
             parent[corner] = min(uppers[corner], key=place.__getitem__)
             depth[corner] = depth[parent[corner]] + 1
+    # 2. The list of a corner is the list of its parent, followed by the corner. Entries of corner i:
+    #
+    #        first[i]   first[i] + 1   ...                first[i] + depth[i]
+    #        root       its child      ...   parent of i   i
     first = np.concatenate([[0], np.cumsum(depth + 1)])
     if _ANCESTOR_BYTES * first[-1] > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     ancestor, length = (np.zeros(first[-1], np.int32) for _ in range(2))
     for corner in reversed(order):
         progress.update()
-        entries = slice(first[corner], first[corner + 1])
-        ancestor[entries.stop - 1] = corner
+        own = first[corner + 1] - 1  # the entry of the corner itself, with length 0
+        ancestor[own] = corner
         if not uppers[corner]:
             continue
-        above = slice(entries.start, entries.stop - 1)
+        above = slice(first[corner], own)
         ancestor[above] = ancestor[first[parent[corner]] : first[parent[corner] + 1]]
+        # 3. D(v, c) = min over neighbors u of w(v, u) + D(u, c), for ancestors c of v. Of u and c, the deeper one is
+        #    a descendant of the other, and its list has their distance.
         nearby = np.array(list(uppers[corner]))
         lengths = np.fromiter(uppers[corner].values(), np.int64, len(nearby))
-        # One of a neighbor and an ancestor is an ancestor of the other, whose list has their distance.
         places = np.arange(depth[corner])
         of_neighbor = first[nearby][:, None] + places
         of_ancestor = first[ancestor[above]] + depth[nearby][:, None]
@@ -397,7 +435,8 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
     # In the reverse order of elimination, a corner's neighbors come before it: all paths from it to earlier corners
-    # lead over one of them.
+    # lead over one of them. So D(v, t) = min over neighbors u of w(v, u) + D(u, t). Rows are in this order until the
+    # end, so that `distances[:n, :n]` is known before row n.
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)

@@ -32,13 +32,17 @@ from plr_jax.plr.container import GRID_MAGIC
 from plr_jax.plr.portable.writers import require_identifier
 
 MOST_CELLS = 2**22  # of a grid
-_VERSION, _HEADER, _CRC = 1, struct.Struct("<4sBBIII"), struct.Struct("<I")
+_VERSION = 1  # of the file format
+_HEADER = struct.Struct("<4sBBIII")  # magic, version, connectivity, rows, columns, size of the file in bytes
+_CRC = struct.Struct("<I")
 _ALIGNED = 64  # bytes to which tables of the C file are aligned
-_TEMPLATE = Path(__file__).with_name("grid_pairs.h")
+_TEMPLATE = Path(__file__).with_name("grid_pairs.h")  # sections after lines "@@ name", with marks "@NAME@"
 _C_MAGIC = b"plr_jax grid 1\n\0"
 
 
 def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
+    """Return the file of a grid: header, bits, checksum (``FORMAT.md``)."""
+    # The bits tell which cells differ from the cell above, so most are 0.
     body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
     size = _HEADER.size + len(body) + _CRC.size
     data = _HEADER.pack(GRID_MAGIC, _VERSION, connectivity, *free.shape, size) + body
@@ -63,10 +67,10 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     if not 0 < rows * columns <= MOST_CELLS:
         raise ValueError(f"it states {rows} x {columns} cells, not 1 to {MOST_CELLS}")
     body = BitReader(data[_HEADER.size : -_CRC.size])
-    differs = body.read_set(rows * columns).reshape(rows, columns)
+    differs_from_above = body.read_set(rows * columns).reshape(rows, columns)
     if not body.at_end():
         raise ValueError("it holds more data than its cells need")
-    return np.logical_xor.accumulate(differs, axis=0), connectivity
+    return np.logical_xor.accumulate(differs_from_above, axis=0), connectivity
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +134,7 @@ class GridPairs:
         """
         points = _as_points("x", x), _as_points("y", y)
         shape = broadcast_shape("x and y", *points)
-        if is_on_one_host(*points, self.tables.blocks):
+        if is_on_one_host(*points, self.tables.blocks):  # NumPy answers few pairs without compiling
             few = evaluate_few(self.tables, *(np.broadcast_to(np.asarray(p), shape) for p in points))
             if few is not None:
                 return jax.numpy.asarray(few)
@@ -206,29 +210,28 @@ class GridPairs:
         safe in threads. ``name``, a C identifier (else ``ValueError``), replaces NAME in all definitions.
         """
         require_identifier(name)
-        tables = self.tables
-        distances = tables.distances
+        tables, distances = self.tables, self.tables.distances
         is_table = isinstance(distances, CornerTable)
         arrays = {"free": tables.sight.free, "sums": tables.sight.sums}
         arrays |= {key: getattr(tables, key) for key in ("group_block", "cell_block", "blocks", "row", "column")}
         arrays |= {field.name: getattr(distances, field.name) for field in fields(distances)}
-        # 1. Write the file of tables, and a C function that reads each table.
-        table, accessors = _C_MAGIC, []
+        # 1. Write the file of tables, little-endian and aligned, and a C function that reads each table.
+        file, accessors = _C_MAGIC, []
         for table_name, array in arrays.items():
             data = np.ascontiguousarray(np.asarray(array)).astype(array.dtype.newbyteorder("<"))
-            table += bytes(-len(table) % _ALIGNED)
+            file += bytes(-len(file) % _ALIGNED)
             c_type = f"{'u' if data.dtype.kind == 'u' else ''}int{8 * data.dtype.itemsize}_t"
             accessors.append(
                 f"static inline int32_t {name}_{table_name}(uint32_t i)\n"
-                f"{{ return (int32_t)((const {c_type} *)(const void *)({name}_data + {len(table)}u))[i]; }}"
+                f"{{ return (int32_t)((const {c_type} *)(const void *)({name}_data + {len(file)}u))[i]; }}"
             )
-            table += data.tobytes()
-        table += zlib.crc32(table).to_bytes(4, "little")
+            file += data.tobytes()
+        file += zlib.crc32(file).to_bytes(4, "little")
         # 2. Write the text: sections of the template, with marks replaced by constants of the grid.
         template = _TEMPLATE.read_text(encoding="utf-8")
         sections = dict(re.findall(r"^@@ ([\w ]+)\n(.*?)(?=^@@|\Z)", template, re.M | re.S))
         group_block, cell_block = np.asarray(tables.group_block), np.asarray(tables.cell_block)
-        first = group_block[np.arange(len(cell_block)) // GROUP] + cell_block
+        first_block = group_block[np.arange(len(cell_block)) // GROUP] + cell_block  # of each cell
         rows, columns = tables.shape
         marks = {
             "SIGHT": sections[f"sight {tables.connectivity}"],
@@ -238,11 +241,11 @@ class GridPairs:
             "COLUMNS": columns,
             "CELLS": rows * columns,
             "CONNECTIVITY": tables.connectivity,
-            "SIZE": f"{len(table):,}",
-            "BYTES": len(table),
-            "CRC": int.from_bytes(table[-4:], "little"),
+            "SIZE": f"{len(file):,}",
+            "BYTES": len(file),
+            "CRC": int.from_bytes(file[-4:], "little"),
             "CENTERS": len(distances.between_centers) if isinstance(distances, CornerTable) else 0,
-            "MOST": BLOCK * max(int(np.diff(first).max()), 1),
+            "MOST": BLOCK * max(int(np.diff(first_block).max()), 1),  # corners of a cell
             "FAR": FAR,
             "UNIT": STRAIGHT[tables.connectivity],
             "DIAGONAL": DIAGONAL[tables.connectivity],
@@ -253,7 +256,7 @@ class GridPairs:
         text = sections["header"]
         for mark, value in marks.items():
             text = text.replace(f"@{mark}@", str(value))
-        return GridHeader(text, table)
+        return GridHeader(text, file)
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":
@@ -295,8 +298,9 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
+    """Check points ``(..., 2)``; outside of JAX, also round them down to the lower corners of their cells."""
     if not isinstance(x, jax.Array):
-        # Round down to whole cells before numbers become 32-bit; both limits are outside.
+        # Round down before numbers become 32-bit. Both limits are outside of every grid.
         x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)
     elif jax.numpy.iscomplexobj(x):
         raise ValueError(f"{name} must be points (..., 2) of real numbers, got an array of {x.dtype}.")

@@ -34,7 +34,10 @@ from plr_jax.pairs.grid_corners import (
     taut_corners,
 )
 
-_WAYS, _IN_ROWS = 3, 2  # tables for each orientation of a grid, and the index of the table of row sums
+# Tables of sums of an 8-connected grid, first of the grid, then of its transpose: two of slanted sums, of the grid
+# and its mirror image, and one of row sums.
+_TABLES = 3
+_IN_ROWS = 2  # index of the row sums
 Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]  # rows and columns; functions of cells answer NumPy in NumPy
 Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
 Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
@@ -57,6 +60,15 @@ class IllegalSteps:
 
 def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
     """Build the tables by which :func:`sees` tests whether cells see each other."""
+    # A table of sums has a row and a column of zeros in front. Entry (r + 1, c + 1) counts
+    # - 4-connected: blocked cells in rows up to r and columns up to c;
+    # - 8-connected, row sums: blocked cells in row r and columns up to c;
+    # - 8-connected, slanted sums: illegal diagonal steps that end in cells # of the sketch:
+    #
+    #        # . . . .  r - 2    A step ends in cell (r, c) and begins in cell (r - 1, c - 1). It is illegal if one of
+    #        # # . . .  r - 1    the four cells of its square is blocked.
+    #        # # # . .  r
+    #            c
 
     def sums_along_rows(marks: Grid) -> _Sums:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -86,16 +98,21 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
 
 
 def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
+    # Cell i, in row-major order, has bit i % 32 of word i // 32.
     cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(np.uint32)
     return (looked_up(sight.free, cell >> 5) >> (cell & 31) & 1).astype(bool)
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
-    """Return, for pairs of cells, whether each path that is shortest on an empty grid is free of obstacles."""
+    """Return, for pairs of cells, whether each path that is shortest on an empty grid is free of obstacles.
+
+    A cell that is not free sees no cell.
+    """
     xp: Any = np if isinstance(p, np.ndarray) else jnp
     sums = xp.asarray(sight.sums)
 
     def between(row: Ints, column: Ints, last_column: Ints) -> Ints:
+        # The sum over columns; `row` is the index in `sums` of the first entry of a row. Sums may be unsigned.
         return sums[row + last_column + 1].astype(np.int32) - sums[row + column].astype(np.int32)
 
     if sight.connectivity == 4:  # the rectangle between the cells must be free
@@ -103,33 +120,42 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
         stride = sight.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
-    # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked.
-    # Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
+    # If the cells are in one row or column, no cell between may be blocked. Else no diagonal step of the
+    # parallelogram between them may be illegal:
+    #
+    #        row   p . . . .          `aside` is the number of rows from p to q. The slanted sum of the last row,
+    #                . . . . .        from column + aside to last_column, counts the steps that end in this slanted
+    #   last_row       . . . . q      band in the last row or above. The slanted sum of the first row, from column
+    #                                 to last_column - aside, counts those that end in the first row or above.
+    #
+    # 1. Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     offset = q - p
-    transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
-    mirrored = offset[:, 0] * offset[:, 1] < 0
-    straight = (offset == 0).any(axis=1)
+    is_transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
+    is_mirrored = offset[:, 0] * offset[:, 1] < 0
+    is_straight = (offset == 0).any(axis=1)
     rows, columns = sight.shape
-    width = xp.where(transposed, rows, columns)
-    (row, column), (other_row, other_column) = (xp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
-    column, other_column = (xp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
+    width = xp.where(is_transposed, rows, columns)
+    (row, column), (other_row, other_column) = (xp.where(is_transposed, end[:, ::-1].T, end.T) for end in (p, q))
+    column, other_column = (xp.where(is_mirrored, width - 1 - end, end) for end in (column, other_column))
     row, last_row = xp.minimum(row, other_row), xp.maximum(row, other_row)
     column, last_column = xp.minimum(column, other_column), xp.maximum(column, other_column)
-
-    number = _WAYS * transposed.astype(p.dtype) + xp.where(straight, _IN_ROWS, mirrored.astype(p.dtype))
+    # 2. Choose the table, and compare the sums.
+    number = _TABLES * is_transposed.astype(p.dtype) + xp.where(is_straight, _IN_ROWS, is_mirrored.astype(p.dtype))
     table = (rows + 1) * (columns + 1) * number
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
-    until_first = xp.where(straight, 0, between(first, column, last_column - aside))
+    until_first = xp.where(is_straight, 0, between(first, column, last_column - aside))
     return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
 
 
 def _narrow(numbers: Int[np.ndarray, " n"]) -> Integer[np.ndarray, " n"]:
+    # The same numbers, which are at least 0, in as few bytes as the largest one needs.
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
 BLOCK = 4  # corners of a cell that are read in one step
 GROUP = 16  # cells whose block offsets share a base
+_BLOCKS_AT_ONCE = 2**20  # blocks filled together during construction
 
 
 @pytree
@@ -156,35 +182,28 @@ class GridTables:
 def tables_of(free: Grid, connectivity: int) -> GridTables:
     """Build the tables of a grid that queries read."""
     first, corners = taut_corners(free, connectivity)
-    # Pack the corners of each cell into blocks.
+    # Pack the corners of each cell into blocks: the first block of cell i is
+    # `group_block[i // GROUP] + cell_block[i]`, where small integers suffice for `cell_block`.
     counts = np.diff(first)
     num_blocks = -(-counts // BLOCK)
     first_block = np.concatenate([[0], np.cumsum(num_blocks)])
     blocks = np.empty((first_block[-1], BLOCK), np.min_scalar_type(corners.max(initial=0)))
-    for some in parts(num_blocks, _BLOCKS_AT_ONCE):
-        cell, block = ragged_indices(num_blocks[some])
-        place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[some][cell, None] - 1)
-        begin = first_block[some.start]
-        blocks[begin : begin + len(cell)] = corners[first[some][cell, None] + place]
+    for part in parts(num_blocks, _BLOCKS_AT_ONCE):
+        cell, block = ragged_indices(num_blocks[part])
+        place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[part][cell, None] - 1)
+        begin = first_block[part.start]
+        blocks[begin : begin + len(cell)] = corners[first[part][cell, None] + place]
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
-    tables = GridTables(
-        sight_of(free, connectivity),
-        jnp.asarray(group_block, jnp.int32),
-        jnp.asarray(_narrow(cell_block)),
-        jnp.asarray(blocks),
-        jnp.asarray(row),
-        jnp.asarray(column),
-        distances=corner_distances(free, connectivity),
-    )
-    # Queries read empty tables too and ignore the value: give these one entry.
+    arrays = map(jnp.asarray, (group_block.astype(np.int32), _narrow(cell_block), blocks, row, column))
+    tables = GridTables(sight_of(free, connectivity), *arrays, corner_distances(free, connectivity))
+    # Queries also read empty tables, and ignore the value: give empty tables one entry.
     return jax.tree_util.tree_map(
         lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
     )
 
 
-_BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
 _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
@@ -199,35 +218,36 @@ SLACK = 2.0**-20
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    batch = x.shape[:-1]
-    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
-    return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
+    """Return the numbers of steps between the cells of points, ``inf`` outside the grid or without a path."""
+    (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    lengths = lengths_between_cells(tables, p, q)
+    return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
 
 
 def evaluate_few(
     tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch"] | None:
-    # None if there are so many pairs that a compiled function is as fast. Answers are those of `evaluate_pairs`.
-    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    """Answer as :func:`evaluate_pairs` in NumPy; None if there are so many pairs that compiled code is as fast."""
+    # 1. Answer pairs of cells that see each other.
+    (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     if len(p) > _MOST_FEW:
         return None
     lengths = open_length(tables.connectivity, *np.abs(p - q).T)
-    hidden = np.flatnonzero(p_inside & q_inside & ~sees(tables.sight, p, q))
-    first, counts = zip(*(_blocks_of(tables, cells[hidden]) for cells in (p, q)), strict=True)
-    combinations = counts[0] * counts[1]
-    if combinations.sum() > _MOST_FEW:
+    hidden = np.flatnonzero(p_is_inside & q_is_inside & ~sees(tables.sight, p, q))
+    # 2. For other pairs, try all combinations of a block of the first cell and a block of the second cell.
+    #    Combination `number` has block `number // other_count` of the first cell, `number % other_count` of the
+    #    second.
+    (first, count), (other_first, other_count) = (_blocks_of(tables, cells[hidden]) for cells in (p, q))
+    if (count * other_count).sum() > _MOST_FEW:
         return None
     lengths[hidden] = FAR
-    pair, number = ragged_indices(combinations)
-    blocks = number // counts[1][pair], number % counts[1][pair]
-    corners, others = (
-        looked_up(tables.blocks, begin[pair] + block).astype(np.int32)
-        for begin, block in zip(first, blocks, strict=True)
-    )
+    pair, number = ragged_indices(count * other_count)
+    block, other_block = first[pair] + number // other_count[pair], other_first[pair] + number % other_count[pair]
+    corners, others = (looked_up(tables.blocks, index).astype(np.int32) for index in (block, other_block))
     legs, other_legs = _legs(tables, p[hidden[pair]], corners), _legs(tables, q[hidden[pair]], others)
     between = tables.distances.between(corners[:, :, None], others[:, None])
     np.minimum.at(lengths, hidden[pair], (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2)))
-    return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
+    return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -235,15 +255,12 @@ def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
-    p, inside = cells_of(tables.shape, x.reshape(-1, 2))
+    p, is_inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
-
-    def around(cells: Cells) -> _Lengths:
-        return _least_around(tables, cells, lambda corners: looked_up(from_goal, corners), cells.shape[:1])
-
+    around = partial(_least_around, tables, onward=partial(looked_up, from_goal))
     open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
     lengths = jnp.where(sees(tables.sight, p, q), open_way, part_by_part(around, _CHUNK, p))
-    return _in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
+    return _in_steps(tables.connectivity, lengths, is_inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -254,17 +271,18 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, " co
     """
     all_corners = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(all_corners), 2))
-    return _least_around(
-        tables, cells, lambda corners: tables.distances.between(all_corners[:, None], corners), all_corners.shape
-    )
+    return _least_around(tables, cells, lambda corners: tables.distances.between(all_corners[:, None], corners))
 
 
 def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
-    # Points off the grid get the cell (0, 0).
+    """Return the rows and columns of the cells of points ``(x, y)``, and whether points are on the grid of ``shape``.
+
+    Points off the grid get the cell (0, 0).
+    """
     xp: Any = np if isinstance(x, np.ndarray) else jnp
     place = xp.floor(x)[:, ::-1]
-    inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
-    return xp.where(inside[:, None], place, 0).astype(np.int32), inside
+    is_inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
+    return xp.where(is_inside[:, None], place, 0).astype(np.int32), is_inside
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
@@ -273,14 +291,17 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     """Return path lengths between cells; pairs are sorted, so that the pairs of a chunk take equally long."""
-    seen = sees(tables.sight, p, q)
+    # A loop over blocks takes as long for a chunk as for its slowest pair.
+    is_seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
-        length, blocks_p, blocks_q = _most_likely(tables, p, q, seen)
+        length, blocks_p, blocks_q = _most_likely(tables, p, q, is_seen)
         return _least_over_blocks(tables, _OpenBlocks(p, blocks_p), _OpenBlocks(q, blocks_q), length)
-    num_p, num_q = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_SORTED) for cells in (p, q))
+    # 1. Find the most likely paths. Sort pairs by the number of blocks of the first cell, then of the second cell.
+    num_p, num_q = (jnp.minimum(jnp.where(is_seen, 0, _blocks_of(tables, end)[1]), _MOST_SORTED) for end in (p, q))
     chunks = _sorted_chunks(num_p * (_MOST_SORTED + 1) + num_q)
-    by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
+    by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], is_seen[chunk]), chunks)
     length, *blocks = (jnp.zeros(len(p), column.dtype).at[chunks].set(column) for column in by_chunk)
+    # 2. Try the blocks that may have shorter paths. Sort pairs by the number of combinations of such blocks.
     num_p, num_q = (lax.population_count(bits).astype(jnp.int32) for bits in blocks)
     chunks = _sorted_chunks(num_p * num_q)
 
@@ -292,37 +313,41 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 
 def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
-    # Indices in ascending order of `work`, chunk by chunk; the last one is repeated to fill its chunk. Each sorted
-    # integer holds the work in its high bits and the index in its low bits.
+    # Indices in ascending order of `work`, chunk by chunk; the last index is repeated to fill its chunk. Each sorted
+    # integer holds the work in its high 14 bits, and the index of a pair in its low 18 bits.
     key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
     return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
 
 
-def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    # Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path.
-    (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
+def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
+    """Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path."""
+    corner, leg = _nearest_to_both(tables, p, q, is_seen)
+    other, other_leg = _nearest_to_both(tables, q, p, is_seen)
     total = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(total, FAR), FAR)
-    length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
-    # Without a path between these corners there is none between any.
-    to_beat = jnp.where((length < FAR) & ~seen, length, 0)
+    length = jnp.where(is_seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
+    # If no path joins these corners, no path joins the cells, as all corners of a cell are joined to it.
+    to_beat = jnp.where((length < FAR) & ~is_seen, length, 0)
     return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
 
 
-def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flags) -> tuple[_Lengths, _Lengths]:
-    # Find the stored corner of each cell over which the path would be shortest on an empty grid.
+def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: Flags) -> tuple[_Lengths, _Lengths]:
+    """Return the stored corner of each cell over which the path would be shortest on an empty grid, and its distance.
+
+    The distance is the path length from the cell to the corner; FAR if the cell has no corner or sees the other cell.
+    """
     first, count = _blocks_of(tables, cells)
-    count = jnp.where(seen, 0, count)
+    count = jnp.where(is_seen, 0, count)
 
     def with_block(block: _Scalar, best: tuple[_Lengths, ...]) -> tuple[_Lengths, ...]:
         corners = _corners_of_block(tables, first, count, block)
         lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
         least = lengths.min(axis=1)
         corner = jnp.where(lengths == least[:, None], corners, -1).max(axis=1)
-        nearer = least < best[0]
-        return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
+        is_nearer = least < best[0]
+        return jnp.where(is_nearer, least, best[0]), jnp.where(is_nearer, corner, best[1])
 
     far = jnp.full_like(count, FAR)
     _, corner = lax.fori_loop(0, count.max(), with_block, (far, jnp.zeros_like(far)))
@@ -330,37 +355,40 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
-    # A bit for each block of four corners of a cell: whether a path over it may be shorter than `length`, because on
-    # an empty grid it would be.
+    # A bit for each of a cell's first 32 blocks: whether a path over one of its four corners would be shorter than
+    # `length` on an empty grid, so that a path may be. Later blocks are always tried (`_OpenBlocks.word`).
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
     def with_block(block: _Scalar, bits: _Blocks) -> _Blocks:
         corners = _corners_of_block(tables, first, count, block)
         lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
-        better = (lengths.min(axis=1) < length) & (block < count)
-        return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
+        is_better = (lengths.min(axis=1) < length) & (block < count)
+        return bits | is_better.astype(jnp.uint32) << block.astype(jnp.uint32)
 
     none = jnp.zeros_like(count, jnp.uint32)
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
 
 
 class _OpenBlocks(NamedTuple):
-    """The blocks of corners of cells that are still to be tried, as words of bits."""
+    """The blocks of corners of cells that are still to be tried, as words of 32 bits."""
 
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
 
     def words(self, tables: GridTables) -> Int32[Array, ""]:
+        # The number of words, as many as the cell with most blocks needs.
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
     def word(self, tables: GridTables, number: _Scalar) -> _Blocks:
+        # In later words, the bits of all blocks that exist. A shift by 32 bits is undefined, so a word without bits
+        # is a case of its own.
         num_bits = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
         all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
         return jnp.where(number == 0, self.blocks, all_bits)
 
     def corners(self, tables: GridTables, number: _Scalar, bits: _Blocks) -> _Corners:
-        # The lowest set bit of each cell's word: as many zeros are below it as ~x & (x - 1) has ones.
+        # The corners of the block of the lowest set bit x: as many zeros are below it as ~x & (x - 1) has ones.
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
@@ -369,13 +397,14 @@ class _OpenBlocks(NamedTuple):
 def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
     """Return the least of ``length`` and of paths over one of the corners left for each of both cells."""
 
+    # Loop over all pairs of a word of the first cell and a word of the second cell, then over pairs of set bits.
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
         word, other_word = jnp.divmod(words, open_q.words(tables))
         blocks, other_blocks = open_p.word(tables, word), open_q.word(tables, other_word)
 
         def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
             # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
-            # bit of the first cell, go through all bits of the second cell.
+            # bit of the first cell, go through all bits of the second cell, then start these again.
             bits, other_bits, length = state
             corners, others = open_p.corners(tables, word, bits), open_q.corners(tables, other_word, other_bits)
             legs, other_legs = _legs(tables, open_p.cells, corners), _legs(tables, open_q.cells, others)
@@ -399,21 +428,20 @@ _BitsAndLength = tuple[_Blocks, _Blocks, _Lengths]
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
+    # Path lengths on an empty grid from each cell to each corner in its row of `corners`.
     rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
     return open_length(tables.connectivity, abs(rows - cells[:, :1]), abs(columns - cells[:, 1:]))
 
 
-def _least_around(
-    tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners], shape: tuple[int, ...]
-) -> _Lengths:
-    # Paths lead over a corner that is stored for the cell; `onward` is the corner's distance to the goal.
+def _least_around(tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners]) -> _Lengths:
+    # The least length over a corner that is stored for the cell; `onward` maps corners to their distance to the goal.
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: _Scalar, least: _Lengths) -> _Lengths:
         corners = _corners_of_block(tables, first, count, block)
         return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
-    far = jnp.full(shape, FAR, jnp.int32)
+    far = jnp.full(cells.shape[:1], FAR, jnp.int32)
     return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
@@ -421,21 +449,23 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     """Return the first block of corners that each cell lists, and the number of its blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
-        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(np.int32)
-        for one in (cell, cell + 1)
+        looked_up(tables.group_block, index // GROUP) + looked_up(tables.cell_block, index).astype(np.int32)
+        for index in (cell, cell + 1)
     )
     return first, end - first
 
 
 def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scalar) -> _Corners:
+    # Cells with fewer blocks get their last block once more.
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
-def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+def _in_steps(connectivity: int, length: Ints, is_inside: Flags) -> Any:
     """Convert lengths in integer units to numbers of steps; ``inf`` outside the grid or without a path."""
     xp: Any = np if isinstance(length, np.ndarray) else jnp
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
-    whole, rest = xp.divmod(length, STRAIGHT[connectivity])
-    part = rest.astype(dtype) / STRAIGHT[connectivity]
-    steps = xp.where(rest == 0, whole.astype(dtype), (whole.astype(dtype) + part) * (1 - _ROUNDING))
-    return xp.where(inside & (length < FAR), steps, np.inf)
+    # A whole number of straight steps is exact. Other lengths are rounded down: answers are never above the truth.
+    whole, remainder = xp.divmod(length, STRAIGHT[connectivity])
+    fraction = remainder.astype(dtype) / STRAIGHT[connectivity]
+    steps = xp.where(remainder == 0, whole.astype(dtype), (whole.astype(dtype) + fraction) * (1 - _ROUNDING))
+    return xp.where(is_inside & (length < FAR), steps, np.inf)

@@ -1,7 +1,7 @@
 """Windows of distances around agents on a grid, in JAX.
 
 First find the distances of the cells on the rim of each window. If distances of two rim cells differ by as many steps
-as the cells are apart, distances in between change by one step per cell; else a cell halfway is computed as well.
+as the cells are apart, distances in between change by one step per cell; else a cell halfway is looked up as well.
 Then spread the distances of the rim into the window, by sweeps.
 """
 
@@ -25,53 +25,67 @@ Rim = Int32[Array, "rim n"]
 _RimFlags = Bool[Array, "rim n"]
 _RimCells = Int32[Array, "rim n 2"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
-_Known = tuple[Int32[Array, " n"], Int32[Array, " n"]]
+_Known = tuple[Int32[Array, " n"], Int32[Array, " n"]]  # of each agent: place and length of the last known rim cell
 
 
 @partial(jax.jit, static_argnames="radius")
 def distances_around(
     tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
 ) -> Int32[Array, "n width width"]:
-    """Return path lengths in steps to each agent's goal from all cells of a square around it; -1 without a path."""
+    """Return path lengths to each agent's goal from all cells of a square around the agent.
+
+    Lengths are in steps, rounded down; -1 without a path.
+    """
+    # 1. Find the cells of the squares: offsets (rows, columns), agents last.
     (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
     offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
     row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
     on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
-    in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
+    in_grid = jnp.stack([jnp.where(on_grid, along, 0).ravel() for along in (row, column)], axis=-1)
     free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
-    # Number the rim of a square from cell to neighbor cell, starting at a corner.
+    # 2. Number the rim of a square from cell to neighbor cell, starting at a corner. With radius r:
+    #
+    #       0     1 ...   2r       `rim` has the rows and columns of these cells in the square.
+    #     8r-1           2r+1
+    #      ...            ...
+    #       6r    ...  4r+1  4r
     side, zero, far = np.arange(2 * radius), np.zeros(2 * radius, int), np.full(2 * radius, 2 * radius)
-    around = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
+    rim = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
     if radius == 0:
-        around = np.zeros(1, int), np.zeros(1, int)
-    cells = jnp.stack([row[around], column[around]], axis=-1)
-    # Ask first for the corners toward and away from the goal: lengths between them mostly follow.
-    turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
-    computed_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
-    lengths = _lengths_of_rim(tables, cells, free[around], goal, computed_first)
+        rim = np.zeros(1, int), np.zeros(1, int)
+    cells = jnp.stack([row[rim], column[rim]], axis=-1)
+    # 3. Find lengths of the rim. Look up first the corners toward and away from the goal: lengths between them mostly
+    #    follow. These are 2r and 6r if row and column change in opposite directions towards the goal, else 0 and 4r.
+    is_turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
+    looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == 2 * radius * is_turned
+    lengths = _lengths_of_rim(tables, cells, free[rim], goal, looked_up_first)
+    # 4. Spread lengths from the rim and the goal into the square.
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
-    initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
+    initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[rim].min(lengths)
     reached = _spread(tables.connectivity, jnp.where(free, initial, FAR), free)
     answered = free & inside & goal_inside & (reached < FAR)
     return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
 
 
 def _lengths_of_rim(
-    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, computed_first: _RimFlags
+    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, looked_up_first: _RimFlags
 ) -> Rim:
-    """Return the path length from each cell of a square's rim to the goal; tables are asked for few cells.
+    """Return the path length from each cell of a square's rim to the goal; few cells are looked up in the tables.
 
     Neighbor cells differ by at most a step. If the lengths of two cells of the rim differ by all steps between them,
-    the lengths between follow. Else the cell in the middle is asked.
+    the lengths between follow. Else the cell in the middle is looked up.
     """
+    # Free cells next to a blocked cell of the rim are looked up at once, so that both ends of each run of free cells
+    # are known.
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def nearest_known(lengths: Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+        # The place and the length of the last known cell up to each cell of the rim, or from each cell on.
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
-            place, length, is_known = cell
-            nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
+            index, length, is_known = cell
+            nearest = jnp.where(is_known, index, nearest[0]), jnp.where(is_known, length, nearest[1])
             return nearest, nearest
 
         return lax.scan(step, first, (place, lengths, is_known), reverse=reverse)[1]
@@ -79,35 +93,43 @@ def _lengths_of_rim(
     def step(state: tuple[Rim, _RimFlags, _RimFlags]):
         lengths, is_known, is_wanted = state
         lengths, is_known = _with_wanted(tables, cells, goal, lengths, is_wanted), is_known | is_wanted
-        # Both ends of each run of free cells are known. The rim is a cycle.
+        # 1. Find the nearest known cells before and after each cell. The rim is a cycle, so the last known cell is
+        #    also before the first cell, at a negative place, and the first known cell is after the last cell.
         begin, end = lax.argmax(is_known, 0, jnp.int32), len(cells) - 1 - lax.argmax(is_known[::-1], 0, jnp.int32)
-        at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
+        at_begin, at_end = (jnp.take_along_axis(lengths, cell[None], axis=0)[0] for cell in (begin, end))
         before, first = nearest_known(lengths, is_known, (end - len(cells), at_end), reverse=False)
         after, last = nearest_known(lengths, is_known, (begin + len(cells), at_begin), reverse=True)
+        # 2. Settle the cells between two known cells whose lengths differ by all steps between them, or from which no
+        #    path leads: then no path leads from the free cells between, either.
         is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
         from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
         new = free & ~is_known & is_settled
+        # 3. Of other runs, look up the cell in the middle.
         is_wanted = free & ~is_known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
         return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), is_known | new, is_wanted
 
-    start = free & (computed_first | beside_blocked)
-    none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
+    is_wanted = free & (looked_up_first | beside_blocked)
+    none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), is_wanted
     return lax.while_loop(lambda state: state[2].any(), step, none)[0]
 
 
 def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
     """Look up the path lengths from the wanted cells of rims to the goals; other lengths stay."""
+    # 1. List the wanted cells agent by agent: a wanted cell comes after those of agents before, and those before it
+    #    on its own rim. `count` has the number of each agent's wanted cells, `until` that up to each cell. Cells are
+    #    numbered in the order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.
     size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
     all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])
     count, until = lax.scan(lambda count, row: (count + row, count + row), none, is_wanted.astype(jnp.int32))
     end = jnp.cumsum(count)
-    number = jnp.full(is_wanted.size + size, is_wanted.size, jnp.int32)  # wanted cells, agent by agent
-    number = number.at[jnp.where(is_wanted, end - count + until - 1, len(number))].set(all_cells, mode="drop")
+    wanted = jnp.full(is_wanted.size + size, is_wanted.size, jnp.int32)
+    wanted = wanted.at[jnp.where(is_wanted, end - count + until - 1, len(wanted))].set(all_cells, mode="drop")
+    # 2. Look them up in batches.
     flat = cells.reshape(-1, 2)
 
     def with_batch(number_of_batch: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
-        batch = lax.dynamic_slice(number, (number_of_batch * size,), (size,))
+        batch = lax.dynamic_slice(wanted, (number_of_batch * size,), (size,))
         cell = jnp.minimum(batch, is_wanted.size - 1)
         start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
@@ -124,13 +146,19 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
     turns = (-1, 1) if connectivity == 8 else ()
 
     def beside(row: Shaped[Array, "width n"], border: int, right: int) -> Shaped[Array, "width n"]:
+        # For each cell, the value of the cell so many columns to its right; `border` beyond the square.
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
+    # 1. Sweep over the rows.
     def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
         # One pass over the rows: each row takes lengths from the row before it, straight and by `turns` diagonally.
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
             row = jnp.minimum(row, last_row + straight)
+            # A diagonal step comes from the last row, `right` columns further right, if both cells beside are free:
+            #
+            #     last row    from  free
+            #     row         free  to         with `right` = -1
             for right in turns:
                 is_legal = last_free & beside(is_free, False, right)
                 row = jnp.minimum(row, jnp.where(is_legal, beside(last_row, FAR, right) + diagonal, FAR))
@@ -140,8 +168,8 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
+    # 2. Sweep down, up, left and right until nothing changes.
     def spread(part: tuple[Square, _Free]) -> Square:
-        # Sweep down, up, left and right until nothing changes.
         lengths, free = part
 
         def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
@@ -156,7 +184,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
 
         return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
 
-    # Take as many agents at once as fit into caches.
+    # 3. Take as many agents at once as fit into caches.
     agents = lengths.shape[-1]
     size = min(_AGENTS, max(agents, 1))
 

@@ -41,17 +41,20 @@ class MetricPairs:
         on_host = all(isinstance(each, np.ndarray) for each in (x, y)) and not is_traced(self.plr.file)
         module: Any = np if on_host else jnp  # NumPy points keep 64 bits
         x, y = module.broadcast_arrays(x, y)
+        # 1. Wrap points along periodic axes: the PLR was built of wrapped points, in their order.
         lo, hi, periodic = self._ends()
-        if periodic.any():  # the PLR was built of wrapped points, so these are what is ordered
+        if periodic.any():
             lo, hi, x, y = (module.asarray(each, module.result_type(x, y, np.float32)) for each in (lo, hi, x, y))
             x, y = (module.where(periodic, lo + (p - lo) % (hi - lo), p) for p in (x, y))
+        # 2. Sort the points of each pair lexicographically, and ask the PLR.
         swaps = _comes_later(x, y)[..., None]
         value = self.plr(module.concatenate([module.where(swaps, y, x), module.where(swaps, x, y)], axis=-1))
         is_one_point = ((x == y) & (lo.astype(x.dtype) <= x) & (x <= hi.astype(x.dtype))).all(axis=-1)
         return jnp.where(is_one_point, jnp.zeros_like(value), jnp.maximum(value, 0))
 
     def _ends(self) -> tuple[Any, Any, Bool[np.ndarray, "dim"]]:
-        # If JAX traces the file, the corners of the box come from the tables.
+        """Return both corners of the box, and which of its axes are periodic."""
+        # If JAX traces the file, the corners come from the tables, in two parts of 32 bits each.
         periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
         if not is_traced(self.plr.file):
             domain = self.plr.domain
@@ -95,6 +98,7 @@ def construct_metric_pairs(
     box_of_pairs = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))
 
     def ordered_distances(pairs: Float[np.ndarray, "n both"]) -> Float[np.ndarray, " n"]:
+        # Only sorted pairs have a distance. A call asks for no others.
         x, y = np.split(pairs, 2, axis=1)
         later = np.asarray(_comes_later(x, y))
         result = np.full(len(pairs), np.inf)
@@ -105,6 +109,7 @@ def construct_metric_pairs(
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:
+    """Return whether each point ``x`` comes after ``y`` lexicographically."""
     later, equal = x[..., 0] > y[..., 0], x[..., 0] == y[..., 0]
     for axis in range(1, x.shape[-1]):
         later, equal = later | (equal & (x[..., axis] > y[..., axis])), equal & (x[..., axis] == y[..., axis])

@@ -1,9 +1,11 @@
-"""Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
+"""Fast tests of whether obstacles hide points from each other.
 
-A leaf of the partition lists the corners where paths from it may turn first. Few walls can hide such a corner from
-the leaf. These are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a
-large box and a corner is not between a part of the box and the corner. Occluders are long chords inside obstacles: a
-few dozen replace most tests of walls.
+- :class:`NearWalls`: a leaf of the partition lists the corners where paths from it may turn first. Only the few walls
+  between the leaf and such a corner can hide it. :func:`near_entries` finds these walls for runs of neighbor leaves
+  first, then for ever shorter runs: a wall that is not between a large box and a corner is not between a part of the
+  box and the corner.
+- Occluders: long chords inside obstacles. Tests of a few dozen chords replace most tests of walls.
+- :func:`updated`: compute only the rows of an array that need it, in batches.
 """
 
 from collections.abc import Callable
@@ -21,31 +23,36 @@ from plr_jax._arrays import padded, parts, ragged_indices, size_in_eighths, take
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 
+# Near walls.
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
-_STEP = 4
+_STEP = 4  # the number of walls read for every entry is a multiple of this: fewer functions are compiled
 _SHORT = 4  # walls of an entry that are tested first; few entries have more
 _LONG = np.uint32(2**31)  # added to the first wall of an entry that has more
 _FEW_ROWS = 2**6  # rows tested against all walls of their entries
 _NUM_BATCHES = 16  # more rows are tested in batches of at least this part of them
-_COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
+_COST = 4  # testing a wall that each point reads for itself takes as long as testing 4 walls that all points share
 _AT_ONCE = 2**15  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
 _MOST_TESTS = 2**25  # tests of a block of walls in one round
 _MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memory
+# Occluders.
 _PAIRS = 2**12  # random pairs of points by which occluders are chosen
-_MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obstacle
+_MOST_VERTICES = 96  # vertices of an obstacle between which chords are tried
+_MOST_CHORDS = 64  # chords of an obstacle that are kept
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
+
 State = TypeVar("State")
 Points = Float[Array, "n 2"]
 Rows = UInt32[Array, "n"]
 Flags = Bool[Array, "n"]
-Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]
-Entries = Int[np.ndarray, "entries"]  # a number for each corner that a leaf lists
-EntryPoints = Float[np.ndarray, "entries 2"]
-Hulls = tuple[EntryPoints, EntryPoints, EntryPoints]  # each is the convex hull of a box (two ends) and a corner
-PairIndices = Int[np.ndarray, "pairs"]
+Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]  # lower and upper corners
 Corners = Float[np.ndarray, "corners 2"]
 Walls = Float[np.ndarray, "walls 4"]
+Entries = Int[np.ndarray, "entries"]  # a number for each list entry: a leaf, and a corner that the leaf lists
+EntryPoints = Float[np.ndarray, "entries 2"]
+Hulls = tuple[EntryPoints, EntryPoints, EntryPoints]  # each is the convex hull of a box (two corners) and a point
+PairIndices = Int[np.ndarray, "pairs"]
+_Shape = tuple[int, int]
 NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list entries, and a wall near each
 
 
@@ -53,21 +60,25 @@ NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list en
 class NearWalls:
     """The walls between each leaf, a box of the domain, and the corners that it lists as first turns of paths."""
 
-    ends: Float[Array, "4 walls"]  # both ends of walls, list entry by list entry
-    first: UInt32[Array, "leaves longest"]  # first wall of each list entry, plus 2**31 if it has more than 4
-    most: int = field(metadata={"static": True})  # walls that queries read for every entry: more do no harm
+    # Both ends (ax, ay, bx, by) of walls: the walls of the first list entry, of the second one, and so on. Entries
+    # are sorted by leaf; `first[leaf, place]` is the index of the first wall of the leaf's corner at this place.
+    ends: Float[Array, "4 walls"]
+    first: UInt32[Array, "leaves longest"]  # plus 2**31 if the entry has more than 4 walls
+    # Walls that queries read for every entry. For most entries these include walls of the next entries, which do no
+    # harm: any wall may be tested.
+    most: int = field(metadata={"static": True})
 
     @staticmethod
     def of(
-        boxes: Boxes,
-        leaf: Entries,
-        listed: Entries,
-        corners: Corners,
-        walls: Walls,
-        margin: float,
-        shape: tuple[int, int],
+        boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, shape: _Shape
     ) -> "NearWalls | None":
-        # Return None if testing all walls is as fast.
+        """Find the walls of each list entry; None if testing all walls is as fast.
+
+        Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``, which ascends. ``shape`` is that of
+        ``first``.
+        """
+        # A query reads as many walls for every entry. This is as slow if the longest list has 1 / `_COST` of all
+        # walls.
         most_worthwhile = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, most_worthwhile)) is None:
             return None
@@ -75,13 +86,14 @@ class NearWalls:
         counts = np.bincount(entry, minlength=len(leaf))
         most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
         first = np.zeros(shape, np.uint32)
-        entries = np.cumsum(counts) - counts + np.where(counts > _SHORT, _LONG, 0)
-        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = entries
+        packed = np.cumsum(counts) - counts + np.where(counts > _SHORT, _LONG, 0)
+        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = packed  # at (leaf, place in its list)
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-        # `place` is the index of the corner in the list of the leaf, which contains the point.
+        """Return whether walls hide corners from points; ``place`` is the corner's index in the leaf's list."""
+        # The first walls decide most rows. The others are tested against all walls of their entries, in batches.
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW_ROWS:
@@ -94,15 +106,19 @@ class NearWalls:
         return updated(hidden, is_long & ~hidden, size // _NUM_BATCHES, test_all_walls, first, x, corner)
 
     def _are_crossed(self, most: int, first: Rows, x: Points, corner: Points) -> Flags:
-        # A line of sight is hidden if it crosses a wall into an obstacle and a wall out of one (see `crossings`).
-        # `crossed` is -1 for a wall crossed into an obstacle, 1 for one crossed out of an obstacle, else 0.
+        # Walls have moved a little into their obstacles, with free space on their left. So a line of sight through an
+        # obstacle crosses one wall into it and one wall out of it. A single crossing is due to rounding, or to a thin
+        # obstacle (see `is_hidden` in `query.py`).
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
         ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
-        beside_p, beside_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
+        # p and q are on two sides of the line a-b if e x (p - a) and e x (q - a) have two signs; a and b are on two
+        # sides of the line p-q if one of them is to its left. `crossed` is -1 for a wall crossed into an obstacle (b
+        # is left), 1 for a wall crossed out of an obstacle (a is left), else 0.
+        side_of_p, side_of_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
         a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
-        crossed = jnp.where(beside_p * beside_q < 0, a_is_left.astype(jnp.float32) - b_is_left, 0)
+        crossed = jnp.where(side_of_p * side_of_q < 0, a_is_left.astype(jnp.float32) - b_is_left, 0)
         crossed = jax.lax.optimization_barrier(crossed)
         return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
 
@@ -115,13 +131,19 @@ def updated(
     ``update`` maps rows of ``state`` and of the ``columns`` to new rows of ``state``. With ``leaves_rest``, the last
     batch is left out if it has fewer than ``size`` rows and is not the only batch.
     """
-    # Bit b of word w tells whether row b * len(words) + w is open.
+    # 1. Pack flags into words. Bit b of word w tells whether row b * len(words) + w is open. With 3 words, rows are
+    #
+    #              word 0   word 1   word 2      The *rank* of an open row is its number among the open rows, counted
+    #       bit 0     0        1        2        word by word, in each word from the lowest bit.
+    #       bit 1     3        4        5
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word
 
+    # 2. Update batch after batch, the rows of ranks `done * size`, `done * size + 1`, ...
     def next_rows(done: Array, state: State) -> State:
-        # Find the word of each row, then the bit by bisection.
+        # Find the word of each row, by its rank, then the bit, by its rank in the word: bisection over the bits. If
+        # the lower half of the bits has too few open rows, go on with the upper half.
         rank = done * size + jnp.arange(size, dtype=jnp.uint32)
         row = jnp.searchsorted(ends, rank, side="right").astype(jnp.uint32)
         word = words.at[row].get(mode="clip")
@@ -130,15 +152,15 @@ def updated(
         for half in (16, 8, 4, 2, 1):
             below = jax.lax.population_count(word & np.uint32(2**half - 1))
             is_above = rank >= below
-            rank, word = jnp.where(is_above, rank - below, rank), jnp.where(is_above, word >> np.uint32(half), word)
+            rank = jnp.where(is_above, rank - below, rank)
+            word = jnp.where(is_above, word >> np.uint32(half), word)
             row = jnp.where(is_above, row + half * len(words), row)
         rows = jax.tree.map(lambda column: column.at[row].get(mode="clip"), (state, *columns))
-        return jax.tree.map(
-            lambda old, new: old.at[row].set(new, mode="drop", unique_indices=True), state, update(*rows)
-        )
+        new_rows = update(*rows)
+        return jax.tree.map(lambda old, new: old.at[row].set(new, mode="drop", unique_indices=True), state, new_rows)
 
     num_batches = (ends[-1] + np.uint32(size - 1)) // np.uint32(size)
-    if leaves_rest:  # a last part of fewer rows stays as it is, unless it is the only one
+    if leaves_rest:
         num_batches = jnp.minimum(num_batches, jnp.maximum(ends[-1] // np.uint32(size), 1))
     return jax.lax.fori_loop(jnp.uint32(0), num_batches, next_rows, state)
 
@@ -151,14 +173,15 @@ def near_entries(
     Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``. Return pairs of an entry and a wall; None if an
     entry has more than ``most`` walls, or all pairs take too much memory.
     """
-    # Leaves ascend in `leaf`, entries in the result. A few of the walls found are farther away.
-    by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
-    first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
+    # Leaves ascend in `leaf`, entries in the result. A few of the walls found are farther away. Corners are handled
+    # in blocks, to save memory.
+    by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort: there are at most 2**13 corners
+    first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))  # of each corner in `by_corner`
     near_pairs, count = [np.zeros((2, 0), np.int32)], 0
-    for block in parts(np.full(len(first) - 1, len(walls)), _BLOCK):
+    for block in parts(np.full(len(corners), len(walls)), _BLOCK):
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
-        number, at = listed[entries] - block.start, corners[listed[entries]]
-        near = _near_entries(boxes, leaf[entries], number, at, walls, margin)
+        corner = listed[entries]
+        near = _near_entries(boxes, leaf[entries], corner - block.start, corners[corner], walls, margin)
         if near is None or np.bincount(near[0]).max(initial=0) > most or count + len(near[0]) > _MOST_PAIRS:
             return None
         count += len(near[0])
@@ -169,33 +192,39 @@ def near_entries(
 
 
 def _near_entries(
-    boxes: Boxes, leaf: Entries, number: Entries, corner: EntryPoints, walls: Walls, margin: float
+    boxes: Boxes, leaf: Entries, corner: Entries, point: EntryPoints, walls: Walls, margin: float
 ) -> NearPairs | None:
-    # Leaves at neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion;
-    # only these walls are tested for each leaf of a run.
+    # Entry `i` is a corner at `point[i]`, with the index `corner[i]`, of the list of leaf `leaf[i]`. Leaves at
+    # neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion; only
+    # these walls are candidates for each leaf of a run. Pairs are returned in the order of entries.
+    #
+    # 1. Find the candidates of each entry.
     lo, hi = boxes
-    if len(lo) == 1:
+    if len(lo) == 1:  # all walls, for all entries
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
-        above = np.zeros(len(leaf), np.int64)
+        run_entry = np.zeros(len(leaf), np.int64)
     else:
+        # A run lists a corner if one of its leaves does. Each such pair of a run and a corner is an entry of the
+        # recursion. `heads` holds one of our entries for each pair, and `run_entry` the pair of each of our entries.
         begin = np.arange(0, len(lo), _RUN)
-        of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
-        key = leaf // _RUN * (number.max(initial=0) + 1) + number
-        _, heads, above = np.unique(key, return_index=True, return_inverse=True)
-        if (near := _near_entries(of_runs, leaf[heads] // _RUN, number[heads], corner[heads], walls, margin)) is None:
+        runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
+        key = leaf // _RUN * (corner.max(initial=0) + 1) + corner
+        _, heads, run_entry = np.unique(key, return_index=True, return_inverse=True)
+        if (near := _near_entries(runs, leaf[heads] // _RUN, corner[heads], point[heads], walls, margin)) is None:
             return None
         entry, candidates = near
         first = np.searchsorted(entry, np.arange(len(heads) + 1))
-    tests = first[above + 1] - first[above]
+    # 2. Test them. The candidates of entry `i` are `candidates[first[k] : first[k + 1]]` with `k = run_entry[i]`.
+    tests = first[run_entry + 1] - first[run_entry]
     if tests.sum() > _MOST_TESTS:
         return None
-    some = np.flatnonzero(tests).astype(np.int32)
+    tested = np.flatnonzero(tests).astype(np.int32)
     near_pairs = [np.zeros((2, 0), np.int32)]
-    for part in parts(tests[some], _AT_ONCE):
-        entries = some[part]
-        place, row = take_ragged(first, above[entries])
-        wall, at = candidates[place], leaf[entries]
-        near = _near_pairs((lo[at], hi[at], corner[entries]), row, walls, wall, margin)
+    for part in parts(tests[tested], _AT_ONCE):
+        entries = tested[part]
+        place, row = take_ragged(first, run_entry[entries])
+        wall, box = candidates[place], leaf[entries]
+        near = _near_pairs((lo[box], hi[box], point[entries]), row, walls, wall, margin)
         near_pairs.append(np.stack([entries[row[near]], wall[near]]))
     entry, wall = np.concatenate(near_pairs, axis=1)
     return entry, wall
@@ -204,26 +233,40 @@ def _near_entries(
 def _near_pairs(
     hulls: Hulls, entry: PairIndices, walls: Walls, wall: PairIndices, margin: float
 ) -> Int[np.ndarray, " near"]:
-    # A hull is that of a box and a corner. A wall is near if no axis separates both by more than the margin.
+    """Return the indices of pairs, a hull ``entry[k]`` and a wall ``wall[k]`` each, that are near one another."""
+    # A wall is apart if an axis across a side of the hull or across the wall separates both by more than the margin.
+    # Below, `u x v` is the cross product, positive if v is to the left of u.
     lo, hi, corner = hulls
     a, b = walls[:, :2], walls[:, 2:]
-    # 1. Compare the bounding boxes: most are apart. NumPy compares four bytes faster than it combines them.
+    # 1. Compare the bounding boxes: most are apart. Boxes meet if all four comparisons hold, four bytes of value 1.
+    #    NumPy compares four bytes at once faster than it combines them.
     of_walls = np.concatenate([np.minimum(a, b), -np.maximum(a, b)], axis=1)
     of_hulls = np.concatenate([np.maximum(hi, corner) + margin, margin - np.minimum(lo, corner)], axis=1)
     meets = of_walls.take(wall, axis=0) <= of_hulls.take(entry, axis=0)
     pairs = np.flatnonzero(meets.view(np.uint32) == 0x01010101)
-    # 2. Describe the two lines from the corner that touch the box. Products beside a line are at least `least`.
+    # 2. Find the two lines from the corner c that touch the box.
+    #
+    #             l _________       l, r:  as seen from c, the leftmost and the rightmost corner of the box
+    #            . |         |      d:     r - c for one line, c - l for the other, so that the hull is left of d
+    #          .   |_________| r    least: minimum over the box's corners w of d x (w - c); 0 unless c is in the box
+    #        c  .  .  .  .  '
+    #
+    #    Points p of the hull have d x p >= d x c + least. A wall is apart if both of its ends have less, by more than
+    #    `reach`, by which d x p can change within the margin.
     ends = np.stack([lo, np.stack([hi[:, 0], lo[:, 1]], axis=1), np.stack([lo[:, 0], hi[:, 1]], axis=1), hi]) - corner
     x, y = ends.transpose(2, 0, 1)
-    beside, lines = x[:, None] * y - y[:, None] * x, []
-    for side in (beside, -beside):
-        least, number = side.min(axis=1), np.arange(len(lo))
-        end = least.argmax(axis=0), number
-        along_x, along_y = (coordinate[end] if side is beside else -coordinate[end] for coordinate in (x, y))
-        reach = margin * (np.abs(along_x) + np.abs(along_y))
-        at_corner = along_x * corner[:, 1] - along_y * corner[:, 0]
-        lines.append((along_x, along_y, np.minimum(least[end], 0) + at_corner - reach))
-    # 3. Take the axes across both lines, and across the wall.
+    cross = x[:, None] * y - y[:, None] * x  # of all pairs of the box's corners, relative to c
+    lines = []
+    for sign in (1, -1):  # touching r, touching l
+        least = (sign * cross).min(axis=1)
+        touched = least.argmax(axis=0), np.arange(len(lo))
+        dx, dy = sign * x[touched], sign * y[touched]
+        reach = margin * (np.abs(dx) + np.abs(dy))
+        at_corner = dx * corner[:, 1] - dy * corner[:, 0]
+        lines.append((dx, dy, least[touched] + at_corner - reach))
+    # 3. Test the axis across the wall, with e = b - a: all of the hull has e x (p - a) > 0, or all of it < 0. In the
+    #    box, this product is from middle - half to middle + half, here with the margin. Then test the axes across
+    #    both lines.
     columns = np.stack([*((lo + hi) / 2).T, *((hi - lo) / 2).T, *corner.T, *lines[0], *lines[1]])
     middle_x, middle_y, half_x, half_y, cx, cy, *lines = columns.take(entry[pairs], axis=1)
     ax, ay, bx, by = walls.T.take(wall[pairs], axis=1)
@@ -232,17 +275,20 @@ def _near_pairs(
     middle, at_corner = ex * middle_y - ey * middle_x - turn, ex * cy - ey * cx - turn
     reach = margin * (size_x + size_y)
     half = size_x * half_y + size_y * half_x + reach
-    apart = (np.minimum(middle - half, at_corner - reach) > 0) | (np.maximum(middle + half, at_corner + reach) < 0)
-    for along_x, along_y, least in (lines[:3], lines[3:]):
-        apart |= np.maximum(along_x * ay - along_y * ax, along_x * by - along_y * bx) < least
-    return pairs[~apart]
+    is_apart = (np.minimum(middle - half, at_corner - reach) > 0) | (np.maximum(middle + half, at_corner + reach) < 0)
+    for dx, dy, least in (lines[:3], lines[3:]):
+        is_apart |= np.maximum(dx * ay - dy * ax, dx * by - dy * bx) < least
+    return pairs[~is_apart]
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
-    """Choose occluders: segments at least ``depth`` inside obstacles that hide many points from one another."""
-    # Each row has both ends of an occluder, relative to the middle of the domain, and a linear function: 0 on the
-    # occluder's line, beyond 1 or -1 where rounding cannot confuse its sides. `region` is free space. Each
-    # occluder hides at least a share of 2 / `num_walls` of random pairs of points, which saves tests of all walls.
+    """Choose occluders: segments at least ``depth`` inside obstacles that hide many points from one another.
+
+    ``region`` is free space, a Shapely geometry. A row ``(ax, ay, bx, by, nx, ny, offset)`` has both ends of an
+    occluder, relative to the middle of the domain, and the linear function ``nx x + ny y - offset``: 0 on the
+    occluder's line, beyond 1 or -1 where rounding cannot confuse its sides. Each occluder hides at least a share of
+    ``2 / num_walls`` of random pairs of points, which saves tests of all walls.
+    """
     import shapely  # other queries do not need Shapely
 
     # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
@@ -271,7 +317,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
         return (bx - ax) * (py - ay) - (by - ay) * (px - ax) > 0
 
     crosses = (left_of(a, b, p) != left_of(a, b, q)) & (left_of(p, q, a) != left_of(p, q, b))
-    # 3. Choose greedily the chord that blocks most of the remaining pairs.
+    # 3. Choose greedily the chord that hides most of the remaining pairs.
     chosen = []
     while crosses.any():
         hidden = crosses.sum(axis=1)
@@ -280,6 +326,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
             break
         chosen.append(best)
         crosses &= ~crosses[best]
+    # 4. Describe each occluder: the linear function is the distance from its line, in units of `_CLEAR` widths.
     ends = chords[chosen] - (domain.lo + domain.hi) / 2
     along = ends[:, 1] - ends[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
@@ -288,7 +335,12 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
 
 
 def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
-    """Return whether segments surely cross an occluder, a row of :func:`occluders_of`, despite rounding."""
+    """Return whether segments surely cross an occluder, a row of :func:`occluders_of`, despite rounding.
+
+    Ends of segments are relative to the middle of the domain. The loop over the 16 rows of a group is unrolled.
+    """
+    # A segment p-q crosses the occluder a-b if p and q are on two sides of the occluder's line, and a and b on two
+    # sides of the line p-q: one of d x a and d x b is at least the moment d x p, the other less, with d = q - p.
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px

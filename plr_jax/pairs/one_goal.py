@@ -16,9 +16,9 @@ from plr_jax.plr.leaves import ConeFiles, leaf_model
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))  # a grid just inside a leaf, in local coordinates
-_HALVINGS = 4  # halvings of a leaf that no corner fits well
-_DEPTH = 13  # halvings that the leaves of a file and further halvings may reach together
-_MAX_AXIS_DEPTH = 13
+_HALVINGS = 4  # times that a leaf may be halved if no cone fits it well
+_DEPTH = 13  # or more times, if these and the depth of a balanced tree of the file's leaves are at most so many
+_MAX_AXIS_DEPTH = 13  # halvings of the domain along an axis
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
@@ -34,19 +34,23 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Po
     """
     domain = stored.domain
     sources = _sources(stored, to_corners, goal)
-    cells, owner, accepted = stored.cells, np.arange(len(stored.cells)), []
+    # 1. Accept cells that a cone fits well, and halve the other cells, a few times.
+    cells = stored.cells
+    leaf = np.arange(len(cells))  # the leaf of the file that holds each cell
     most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
+    accepted = []
     for halvings in range(most + 1):
-        source, error = _best_sources(stored, pairs, sources, cells, owner)
+        source, error = _best_sources(stored, pairs, sources, cells, leaf)
         is_poor = (error > _NEGLIGIBLE * domain.width.max()) & (cells.depth.max(axis=1) < _MAX_AXIS_DEPTH)
         is_poor &= halvings < most
         accepted.append((cells[~is_poor], source[~is_poor]))
         poor = cells[is_poor]
-        cells, owner = poor.split(poor.longest_axis(domain)), np.repeat(owner[is_poor], 2)
+        cells, leaf = poor.split(poor.longest_axis(domain)), np.repeat(leaf[is_poor], 2)
     first, *others = (cells for cells, _ in accepted)
     cells, source = first.append(*others), np.concatenate([source for _, source in accepted])
     if (source < 0).all():
         raise ValueError(f"No leaf reaches the goal {goal.tolist()}: move it into free space.")
+    # 2. Merge cells with the same cone. A tree has its leaves in an order of its own.
     tree = tree_of(cells)
     cells, source = _merge_halves(tree, source[tree.order])
     tree = tree_of(cells)
@@ -55,16 +59,25 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Po
 
 
 def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sources:
-    """Return the goal and the corners where shortest paths to it turn, each with its distance and its next turn."""
+    """Return the goal and the corners where shortest paths to it turn, each with its distance and its next turn.
+
+    Source 0 is the goal, source ``1 + i`` is corner ``i``. A corner whose next turn is not found has distance
+    ``inf``.
+    """
+    # 1. The next turn is the goal if the distance is that of a straight line, up to rounding.
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, to_corners)
     slack = _ROUNDING * (distances + stored.domain.width.max())
-    parents = np.where(distances <= np.linalg.norm(points - goal, axis=1) + slack, 0, -1)
+    parents = np.where(distances <= np.linalg.norm(points - goal, axis=1) + slack, 0, -1)  # -1: not yet known
+    # 2. Find edges from start to end along which a shortest path may go: |start - end| + distance(end) is the
+    #    distance of start, up to rounding. Follow them only towards the goal, so that no cycles arise. Long paths
+    #    come first.
     start, end = 1 + np.concatenate([stored.edges, stored.edges[:, ::-1]]).T
     onward = np.linalg.norm(points[start] - points[end], axis=1) + distances[end]
     leads_on = (onward <= distances[start] + slack[start]) & (distances[end] < distances[start])
     edges = np.flatnonzero(leads_on & np.isfinite(onward))
     edges = edges[np.argsort(-onward[edges], kind="stable")]
+    # 3. Extend the tree of paths by edges to corners whose next turn is known, until no edge extends it.
     while len(next_edges := edges[(parents[start[edges]] < 0) & (parents[end[edges]] >= 0)]):
         parents[start[next_edges]] = end[next_edges]  # the last assignment wins: the shortest path
     distances[parents < 0] = np.inf  # paths only start there, so no leaf may use the corner
@@ -72,34 +85,42 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 
 
 def _best_sources(
-    stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, " cells"]
+    stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, leaf: Int[np.ndarray, " cells"]
 ) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
-    # The source of a cell, -1 for none, is the apex of the cone that has the least mean error there.
+    """Return the apex of the cone with the least mean error in each cell, and this error; -1 and 0 for no cone.
+
+    Apexes are indices in ``sources``: the goal and the corners listed by ``leaf``, the leaf that holds the cell.
+    """
+    # 1. Compute distances of sample points, `inf` outside free space.
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
     distance[is_free] = pairs(x[is_free], sources.points[0])
-    entries, cell = take_ragged(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), owner)
+    # 2. Pair each cell with its sources, first with the goal, source 0.
+    entries, cell = take_ragged(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), leaf)
     cell = np.concatenate([np.arange(len(cells)), cell])
     source = np.concatenate([np.zeros(len(cells), np.int64), 1 + stored.listed[entries]])
+    # 3. Compare each pair's cone with the distances at the samples, and take the pair of least error of each cell.
     cone = sources.distances[source, None] + np.linalg.norm(x[cell] - sources.points[source, None], axis=2)
     with np.errstate(invalid="ignore"):
         error = np.where(np.isfinite(distance[cell]), np.abs(cone - distance[cell]), 0.0).mean(axis=1)
     order = np.lexsort((error, cell))
     best = order[np.searchsorted(cell[order], np.arange(len(cells)))]
-    reaches = np.isfinite(distance).any(axis=1) & np.isfinite(sources.distances[source[best]])
-    return np.where(reaches, source[best], -1), np.where(reaches, error[best], 0.0)
+    has_cone = np.isfinite(distance).any(axis=1) & np.isfinite(sources.distances[source[best]])
+    return np.where(has_cone, source[best], -1), np.where(has_cone, error[best], 0.0)
 
 
 def _merge_halves(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells, Int[np.ndarray, " kept"]]:
     """Merge halves of a cell whose cones have the same apex, ``source``; return the leaves and their apexes."""
-    of_node = np.full(len(tree.child), -2)
-    of_node[tree.node_of_leaf] = source
+    # 1. From the leaves up: a node's apex, -2 if its leaves have several.
+    apex = np.full(len(tree.child), -2)
+    apex[tree.node_of_leaf] = source
     for split in reversed(tree.splits):
-        lower, upper = of_node[tree.child[split]], of_node[tree.child[split] + 1]
-        of_node[split] = np.where(lower == upper, lower, -2)
+        lower, upper = apex[tree.child[split]], apex[tree.child[split] + 1]
+        apex[split] = np.where(lower == upper, lower, -2)
+    # 2. From the root down: whether a node lies in a node with one apex. The largest nodes with one apex are kept.
     is_inside = np.zeros(len(tree.child), bool)
     for split in tree.splits:
-        is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (of_node[split] > -2)
-    merged = np.flatnonzero((of_node > -2) & ~is_inside)
-    return tree.cells[merged], of_node[merged]
+        is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (apex[split] > -2)
+    merged = np.flatnonzero((apex > -2) & ~is_inside)
+    return tree.cells[merged], apex[merged]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 
-_FEW, _MANY = 2**10, 2**14  # block sizes for few and for many pairs
+_BLOCKS = (2**10, 2**14)  # sizes of the blocks, of few and of many pairs, that compiled functions answer
 _FEW_TESTS = 2**18  # pairs times walls up to which NumPy answers: at most about as slowly as a compiled block
 _PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 
@@ -79,6 +79,7 @@ class PairPLR(FileBacked):
 
     def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
         """Return distances to prepared goals: by NumPy for few pairs, else by compiled code."""
+        # 1. Check the arguments.
         x = self._from_middle("x", x)
         batch = broadcast_shape("x and goals", x, goals.points)[:-1]
         size, corners = goals.to_corners.shape[-1], self._table_size
@@ -87,18 +88,18 @@ class PairPLR(FileBacked):
                 f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size} corners: "
                 "call prepared of these pairs."
             )
+        # 2. Choose how to answer. Compiled code reads goals by number, so that parts of a batch can share them.
         number = np.arange(prod(goals.points.shape[:-1]), dtype=np.uint32).reshape(*goals.points.shape[:-1], 1)
         if not is_on_one_host(x, goals.points, goals.to_corners, self.file):
             return _distances_to(self.tables, goals, x, number, outside)[0]
         with np.errstate(over="ignore"):  # points far outside
             x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
         if self._are_few(prod(batch)):
-            points, to_corners = (np.asarray(each) for each in (goals.points, goals.to_corners))
-            rows = (_rows(each, batch) for each in (x, points, to_corners))
+            rows = (_rows(np.asarray(column), batch) for column in (x, goals.points, goals.to_corners))
             answer = self._numpy.distances_to(*rows, outside=outside).reshape(batch)
         else:
             answer = partial(_distances_to, self.tables, goals, outside=outside)
-            answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]
+            answer = answered_in_parts(answer, _BLOCKS, x, number)[0]
         return jax.device_put(answer)
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
@@ -159,7 +160,7 @@ class PairPLR(FileBacked):
     def _answered(
         self, compiled: Callable[..., Any], few: Callable[..., Any], x: ArrayLike, y: ArrayLike
     ) -> tuple[Array, ...]:
-        # `few` answers few pairs in NumPy: it compiles nothing.
+        """Return the answers ``(...)`` of ``compiled`` code or, for few pairs, of ``few``, which compiles nothing."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         batch = broadcast_shape("x and y", x, y)[:-1]
         if not is_on_one_host(x, y, self.file):
@@ -168,9 +169,9 @@ class PairPLR(FileBacked):
             x, y = (np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y))
         if self._are_few(prod(batch)):
             answers = np.atleast_2d(few(self._numpy, _rows(x, batch), _rows(y, batch)))
-            answers = (each.reshape(batch) for each in answers)
+            answers = (answer.reshape(batch) for answer in answers)
         else:
-            answers = answered_in_parts(partial(compiled, self.tables), (_FEW, _MANY), x, y)
+            answers = answered_in_parts(partial(compiled, self.tables), _BLOCKS, x, y)
         return tuple(map(jax.device_put, answers))  # unlike `jnp.asarray`, compiles nothing
 
     def _are_few(self, pairs: int) -> bool:
@@ -186,12 +187,13 @@ class PairPLR(FileBacked):
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
-        """Check points, and return them relative to the middle of the domain."""
+        """Check points, and return them relative to the middle of the domain, in their own precision."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
+        # The middle is `first + rest`, both in 32 bits. Points in 64 bits outside of JAX need no such parts.
         if is_traced(self.file):
             unresolved, (first, rest) = self.tables.unresolved, self.tables.middle
         else:
@@ -280,6 +282,7 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 
 @partial(jax.jit, static_argnames="outside")
 def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
+    """Return distances between points relative to the middle of the domain, which broadcast."""
     if outside == "clamp":
         (x, shift_x), (y, shift_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
         return (_distances(tables, x, y, "inf")[0] + (shift_x + shift_y),)
@@ -295,7 +298,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
         from_x, from_y = (p.astype(x.dtype) for p in (ways.from_x, ways.from_y))
         return jnp.where(is_straight, _norm(x - y), _norm(x - from_x) + _norm(y - from_y))
 
-    # Add the change of both legs due to the part of the points that 32 bits lose.
+    # Add the change of both legs due to the part of the points that 32 bits lose. All other terms have no gradient.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
@@ -304,10 +307,11 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
+    """Return distances from points ``(..., 2)`` to the goals of the given numbers ``(..., 1)``, which broadcast."""
     if outside == "clamp":
         x, shift = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + shift,)
-    points, to_corners = (each.reshape(-1, each.shape[-1]) for each in (goals.points, goals.to_corners))
+    points, to_corners = (column.reshape(-1, column.shape[-1]) for column in (goals.points, goals.to_corners))
     number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
     (x, y), shape, answer = _checked(tables, x, points[number])
     single, end = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
@@ -323,14 +327,16 @@ def _distances_to(
 
 @jax.jit
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Return lower and upper bounds of the distances between points relative to the middle of the domain."""
     (x, y), shape, answer = _checked(tables, x, y)
     dtype = x.dtype
     x, y = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
+    # 1. The lower bound: paths among walls moved into obstacles, without thin obstacles.
     lower_tables = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
     least = shortest_ways(lower_tables, x, y).least
     lower = jnp.maximum(SHRUNK * least - (tables.rounding[0] + absolute), 0.0)
-    # A point near a wall may be behind the wall that is moved into free space.
+    # 2. The upper bound: paths among walls moved into free space. A point near a wall may be behind the moved wall.
     listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
     upper_tables = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
     is_clear = is_inside(upper_tables, x) & is_inside(upper_tables, y)
@@ -343,9 +349,10 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
+    """Move finite points outside the domain to its nearest point; also return how far they move."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
-    beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
-    nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
+    is_beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))  # by axis
+    nearest = jnp.where(is_beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
     shift: Any = length_of([(x - nearest)[..., axis] for axis in range(2)])
     return nearest, shift
 
@@ -353,7 +360,10 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, " n"]]:
-    # Answers are `inf` outside the domain, NaN for NaN, and 0 if not yet known.
+    """Broadcast points; return them as rows, the shape of the batch, and what is known of each row's answer.
+
+    Answers are ``inf`` outside the domain, NaN for NaN, and 0 if not yet known. Rows with a known answer become 0.
+    """
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))
@@ -363,6 +373,7 @@ def _checked(
 
 
 def _rows(values: Shaped[np.ndarray, "..."], batch: tuple[int, ...]) -> Shaped[np.ndarray, "n columns"]:
+    # Broadcast all axes but the last one to the batch, and flatten these.
     return np.broadcast_to(values, (*batch, values.shape[-1])).reshape(-1, values.shape[-1])
 
 
@@ -371,10 +382,12 @@ def _floats_of(*points: Any) -> Any:
 
 
 def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    # The largest coordinates of points in the domain, with a margin for the rounding of points.
     ends = tables.half + ENDS * (tables.half + jnp.abs(tables.middle[0]))
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 
 
 def _norm(v: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    # The gradient at 0 is 0, not NaN: the root is taken of 1 there.
     square = (v * v).sum(axis=1)
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -34,9 +34,10 @@ _Lengths = Float[np.ndarray, "n"]
 
 def point_rounding(half: Any, middle: Any) -> Any:
     """Bound the error of a distance by the rounding of points, given the domain's half width and ``abs(middle)``."""
-    # 64-bit points less the middle are rounded to 32 bits. 32-bit points lose `first`, the middle in 32 bits, then
-    # `rest`: each difference is at most about `half`, so that both err by at most an eps of it, and the sum
-    # `first + rest` is the middle up to eps**2 of it. A path has two such points, and two rounded corners.
+    # Points in 64 bits, relative to the middle, are rounded to 32 bits: an error of at most an eps of `half`. From
+    # points in 32 bits, `first`, the middle in 32 bits, is subtracted, then `rest`, its rounding error: each
+    # difference is at most about `half`, so that both err by at most an eps of it, and `first + rest` is the middle
+    # up to eps**2 of it. A path has two such points, and two rounded corners.
     return _ROUNDINGS * (half + np.finfo(np.float32).eps * middle)
 
 
@@ -45,6 +46,13 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
     A wall is given by its ends, ``(ax, ay, bx, by)``, with free space on its left.
     """
+    # With e = b - a and d = q - p, the segment crosses the wall if the sides of p and q, the signs of e x (p - a) and
+    # e x (q - a), differ, and only one of a and b is left of the segment: d x (p - a) <= 0. Seen along the wall, free
+    # space is on the left, so a segment into the obstacle has b on its left:
+    #
+    #            p  free
+    #      a ----|---> b
+    #            v  obstacle
     (px, py), (qx, qy), (ax, ay, bx, by) = p, q, wall
     ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
     # Differences between close points are exact. They tell sides even if a segment and a wall are almost in line.
@@ -59,10 +67,10 @@ def are_crossed(
 ) -> Bool[np.ndarray, " n"]:
     """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
     crossed = np.zeros(len(p), bool)
-    for some in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
-        directions = crossings(p[some].T[:, :, None], q[some].T[:, :, None], walls)
-        goes_in, goes_out = (each.any(axis=1) for each in directions)
-        crossed[some] = goes_in & goes_out if both_ways else goes_in | goes_out
+    for part in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
+        inward, outward = crossings(p[part].T[:, :, None], q[part].T[:, :, None], walls)
+        goes_in, goes_out = inward.any(axis=1), outward.any(axis=1)
+        crossed[part] = goes_in & goes_out if both_ways else goes_in | goes_out
     return crossed
 
 
@@ -71,9 +79,10 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
     The winding number around the point is the number of upward crossings less the number of downward crossings.
     """
+    # A wall upward crosses the ray if its ends are below and above it, and the point is on its left.
     (px, py), (ax, ay, bx, by) = p, wall
-    beside = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-    return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
+    side = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+    return (ay <= py) & (by > py) & (side > 0), (by <= py) & (ay > py) & (side < 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +105,7 @@ class Scene:
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
         receding = RECEDING * width
+        # 1. Move corners, for certain paths twice as far as walls.
         if is_certain:
             corners = outline.moved_points(-2 * receding)[stored.corner]
         else:
@@ -103,14 +113,16 @@ class Scene:
             # margins, so that no corner moves through an obstacle close ahead whose walls move back.
             before = outline.moved_points(-0.2 * MARGIN * width)[stored.corner]
             corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
-        walls = outline.moved_walls(-receding if is_certain else receding, moves_all=for_lower_bounds)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
+        # 2. Move walls.
+        walls = outline.moved_walls(-receding if is_certain else receding, moves_all=for_lower_bounds)
         if is_certain:
             walls = np.concatenate([walls, outline.around_thin_walls(receding)])
             # No certainly free path turns at a corner that a wall cuts off from the place to which the corner moves.
             corners[are_crossed(stored.points, corners, outline.moved_walls(0.0).T)] = np.inf
         elif for_lower_bounds:
             walls = walls[~outline.is_thin]
+        # 3. Make both relative to the middle.
         walls -= np.tile(middle, 2)
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
 
@@ -119,13 +131,15 @@ class Scene:
         return np.ascontiguousarray(self.walls.T, np.float32)
 
     def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, " n"]:
+        """Return whether walls separate points: one crossing if paths must be certain, else one in and one out."""
         return are_crossed(p, q, self.wall_ends, both_ways=not self.is_certain)
 
     def encloses(self, p: _Points) -> Bool[np.ndarray, " n"]:
+        """Return whether points are in the free space that the walls enclose, by the winding number."""
         inside = np.zeros(len(p), bool)
-        for some in parts(np.full(len(p), len(self.walls)), _AT_ONCE):
-            up, down = winding(p[some].T[:, :, None], self.wall_ends)
-            inside[some] = up.sum(axis=1) - down.sum(axis=1) == 1
+        for part in parts(np.full(len(p), len(self.walls)), _AT_ONCE):
+            up, down = winding(p[part].T[:, :, None], self.wall_ends)
+            inside[part] = up.sum(axis=1) - down.sum(axis=1) == 1
         return inside
 
 
@@ -133,21 +147,25 @@ class NumpyPairs:
     """Distances between any two points, computed in NumPy, as returned by :meth:`PairPLR.numpy`."""
 
     def __init__(self, stored: PairsFileData) -> None:
+        # 1. The domain, relative to its middle.
         domain, middle = stored.domain, (stored.domain.lo + stored.domain.hi) / 2
         self.domain, self._middle = domain, middle
         self._frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
         self._ends = self._frame[Frame.HI]
         self._half = (domain.width / 2).astype(np.float32)
         self._rounded_ends = self._half + ENDS * (self._half + np.abs(middle.astype(np.float32)))
+        # 2. Leaves, and the corners that each lists: a row per leaf, padded with the number of corners, an index at
+        #    which all distances and coordinates are `inf`.
         count, corners = len(stored.cells), len(stored.corner)
         self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
         lengths = np.bincount(stored.leaf, minlength=count)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[ragged_indices(lengths)] = stored.listed
         self._distances = distances_table(stored, corners + 1)
-        point_error = float(point_rounding(domain.width / 2, np.abs(middle)).max())
+        # 3. Walls and corners, moved in three ways, and what both bounds leave for errors.
         self._scene, self._upper_scene = (Scene.of(stored, is_certain) for is_certain in (False, True))
         self._lower_scene = Scene.of(stored, False, for_lower_bounds=True)
+        point_error = float(point_rounding(domain.width / 2, np.abs(middle)).max())
         self._lower_error, self._upper_error = (
             np.float32(stored.rounding + 2 * scene.moved + point_error) for scene in (self._scene, self._upper_scene)
         )
@@ -168,13 +186,14 @@ class NumpyPairs:
         return lower[()], upper[()]
 
     def _from_middle(self, x: ArrayLike, y: ArrayLike) -> tuple[_Points, _Points, tuple[int, ...]]:
-        x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
+        """Broadcast points; return them as rows in 32 bits, relative to the middle, and the shape of the batch."""
+        x, y = (as_queries(points, 2).astype(np.float64, copy=False) for points in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
         except ValueError:
             raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
         with np.errstate(over="ignore", invalid="ignore"):
-            p, q = ((each.reshape(-1, 2) - self._middle).astype(np.float32) for each in (x, y))
+            p, q = ((points.reshape(-1, 2) - self._middle).astype(np.float32) for points in (x, y))
         return p, q, x.shape[:-1]
 
     # The functions below are PairPLR's for few points. Points are relative to the middle of the domain, in 32 or 64
@@ -182,7 +201,7 @@ class NumpyPairs:
 
     def distances(self, p: _Points, q: _Points, outside: Outside) -> _Lengths:
         if outside == "clamp":
-            (p, shift_p), (q, shift_q) = self._clamped(p), self._clamped(q)
+            (p, shift_p), (q, shift_q) = map(self._clamped, (p, q))
             return self.distances(p, q, "inf") + (shift_p + shift_q)
         return _in_blocks(partial(self._lengths, self._scene), self._rounded_ends, float(outside), p, q)
 
@@ -201,32 +220,39 @@ class NumpyPairs:
             single, goal = p.astype(np.float32), goal.astype(np.float32)
 
             def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
+                # The goal counts as the only last turn, as its distances to corners are known.
                 listed, turns, legs = self._legs(self._scene, single[hidden])
                 return turns, goal[hidden, None], (legs + to_corners[hidden[:, None], listed])[:, :, None]
 
             length, via, _ = _shortest(self._scene, single, goal, paths)
+            # Add the change of the leg due to the part of the point that 32 bits lose.
             return length + (_length(p - via) - _length(single - via))
 
         return _in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners)
 
     def to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
-        # Rows of goals outside the domain have no meaning.
+        """Return the length of the shortest path from each goal to each corner, ``inf`` without a path.
+
+        Rows of goals outside the domain have no meaning.
+        """
+        # 1. Find the legs from goals to the corners that their leaves list: `inf` if walls hide a corner.
         goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
         listed, turns, legs = self._legs(self._scene, goals)
         goal, place = np.nonzero(np.isfinite(legs))
         legs[goal, place] += np.where(self._scene.hides(goals[goal], turns[goal, place]), np.float32(np.inf), 0)
+        # 2. Minimize over the first turns, column by column of the lists. Columns beyond the corners stay `inf`.
         lengths = np.full((len(goals), size), np.inf, np.float32)
-        within = lengths[:, : len(self._distances)]
+        to_known = lengths[:, : len(self._distances)]  # a view: `lengths` is modified through it
         for leg, corners in zip(legs.T, listed.T, strict=True):
-            np.minimum(within, leg[:, None] + self._distances[corners], out=within)
+            np.minimum(to_known, leg[:, None] + self._distances[corners], out=to_known)
         return lengths
 
     def _clamped(self, p: _Points) -> tuple[_Points, _Lengths]:
         """Move finite points outside the domain to its nearest point; also return how far they move."""
-        beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)
-        nearest = np.where(beyond, np.copysign(self._half.astype(p.dtype), p), p)
+        is_beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)  # by axis
+        nearest = np.where(is_beyond, np.copysign(self._half.astype(p.dtype), p), p)
         with np.errstate(invalid="ignore"):
-            return nearest, np.where(beyond.any(axis=1), np.hypot(*(p - nearest).T), p.dtype.type(0))
+            return nearest, np.where(is_beyond.any(axis=1), np.hypot(*(p - nearest).T), p.dtype.type(0))
 
     def _bounds(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         p, q = p.astype(np.float32), q.astype(np.float32)
@@ -237,14 +263,15 @@ class NumpyPairs:
 
     def _lengths(self, scene: Scene, p: _Points, q: _Points) -> _Lengths:
         """Return path lengths of pairs; ``scene`` has the walls that hide corners, and the corners of paths."""
+        # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
+        # 2. Find shortest paths in 32 bits: |p - i| + (|q - j| + D(i, j)) through listed corners i and j.
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
 
         def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
-            (of_p, turns_p, legs_p), (of_q, turns_q, legs_q) = (
-                self._legs(scene, each[hidden]) for each in (single_p, single_q)
-            )
+            of_p, turns_p, legs_p = self._legs(scene, single_p[hidden])
+            of_q, turns_q, legs_q = self._legs(scene, single_q[hidden])
             onward = legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]]
             return turns_p, turns_q, legs_p[:, :, None] + onward
 
@@ -252,18 +279,19 @@ class NumpyPairs:
         if p.dtype == np.float32:
             return length
 
+        # 3. Add the change of both legs due to the part of the points that 32 bits lose.
         def legs(p: _Points, q: _Points) -> _Lengths:
             is_straight = ((via_p == single_q) & (via_q == single_p)).all(axis=1)
             return np.where(is_straight, _length(p - q), _length(p - via_p) + _length(q - via_q))
 
-        # Add the change of both legs due to the part of the points that 32 bits lose.
         return length + (legs(p, q) - legs(single_p, single_q))
 
     def _legs(
         self, scene: Scene, p: _Points
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
+        """Return the corners that each point's leaf lists: their indices, positions and distances to the point."""
         above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
-        places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
+        places = [fraction_along(ARRAYS, *along_axis) for along_axis in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
         turns = scene.corners[listed].astype(np.float32)
         return listed, turns, _length(p[:, None] - turns)
@@ -278,8 +306,9 @@ def _in_blocks(
         fixed_answers = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
         fixed_answers[np.isnan(farthest).any(axis=1)] = np.nan
         inside = np.flatnonzero(fixed_answers == 0)
+        # At least one block, perhaps empty: its answer has the dtype and the first axes of all answers.
         blocks = [inside[first : first + _PAIRS] for first in range(0, max(1, len(inside)), _PAIRS)]
-        block_answers = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
+        block_answers = [answer(*(column[block] for column in (p, q, *others))) for block in blocks]
     answers = np.broadcast_to(fixed_answers, (*block_answers[0].shape[:-1], len(p))).copy()
     answers[..., inside] = np.concatenate(block_answers, axis=-1)
     return answers
@@ -290,22 +319,29 @@ def _shortest(
 ) -> tuple[_Lengths, _Points, _Points]:
     """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
 
-    ``paths`` maps indices of pairs to possible first turns, last turns, and path lengths through both.
+    ``paths`` maps indices of ``n`` pairs to possible first turns ``(n, k, 2)``, last turns ``(n, m, 2)``, and lengths
+    ``(n, k, m)`` of paths through both. If a path is straight or missing, ``q`` counts as its first turn and ``p`` as
+    its last turn.
     """
-    # If a path is straight or missing, `q` counts as its first turn and `p` as its last.
+    # 1. Straight paths.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
     hidden = np.flatnonzero(scene.hides(p, q))
+    # 2. For other pairs, try the shortest path first, and drop the turns that its ends do not see, until a path is
+    #    free or none is left.
     turns_p, turns_q, lengths_via = paths(hidden)
-    lengths[hidden], open_ = np.inf, np.arange(len(hidden))
-    while len(open_):  # try the shortest path first, and drop the corners that its ends do not see
-        i, j = np.divmod(lengths_via[open_].reshape(len(open_), -1).argmin(axis=1), lengths_via.shape[2])
-        length, rows, first, last = lengths_via[open_, i, j], hidden[open_], turns_p[open_, i], turns_q[open_, j]
+    lengths[hidden] = np.inf
+    pending = np.arange(len(hidden))  # indices in `hidden`
+    while len(pending):
+        i, j = np.divmod(lengths_via[pending].reshape(len(pending), -1).argmin(axis=1), lengths_via.shape[2])
+        length, rows = lengths_via[pending, i, j], hidden[pending]
+        first, last = turns_p[pending, i], turns_q[pending, j]
         hidden_p, hidden_q = scene.hides(p[rows], first), scene.hides(q[rows], last)
-        lengths_via[open_[hidden_p], i[hidden_p]] = np.inf
-        lengths_via[open_[hidden_q], :, j[hidden_q]] = np.inf
-        free = (length < np.inf) & ~(hidden_p | hidden_q)
-        lengths[rows[free]], via_p[rows[free]], via_q[rows[free]] = length[free], first[free], last[free]
-        open_ = open_[(length < np.inf) & ~free]
+        lengths_via[pending[hidden_p], i[hidden_p]] = np.inf
+        lengths_via[pending[hidden_q], :, j[hidden_q]] = np.inf
+        is_free = (length < np.inf) & ~(hidden_p | hidden_q)
+        found = rows[is_free]
+        lengths[found], via_p[found], via_q[found] = length[is_free], first[is_free], last[is_free]
+        pending = pending[(length < np.inf) & ~is_free]
     return lengths, via_p, via_q
 
 

@@ -1,9 +1,14 @@
 """Queries of a PairPLR in JAX: the search for shortest paths.
 
-If two points do not see each other, the path between them turns first and last at corners that the leaves of both
-points list. The search tries the corners in the first point's list by ascending lower bound of the path length
-through each. It drops a corner from a list if a wall hides it from the list's point, and stops once no bound is below
-the length of a path found. Most pairs of points need one or two rounds.
+If two points x and y do not see each other, the path between them turns first and last at corners i and j that the
+leaves of both points list::
+
+    x ------ i ~~~~~~~~~~ j ------ y      |x - i| + D(i, j) + |j - y|, with D the distance between corners
+       leg                   leg
+
+The search tries the corners in the first point's list by ascending lower bound of the path length through each. It
+drops a corner from a list if a wall hides it from the list's point, and stops once no bound is below the length of a
+path found. Most pairs of points need one or two rounds.
 """
 
 from collections.abc import Callable
@@ -27,10 +32,12 @@ from plr_jax.plr.tables import gather
 
 _AT_ONCE = 2**14  # pairs of points that fit into caches
 _TESTED = 2**10  # pairs tested against the walls of a box together
-_FEW, _SEARCHED = 2**7, 2**10  # pairs whose rounds take all of them; open pairs searched together, if there are more
+_FEW = 2**7  # up to so many pairs, each round takes all of them
+_SEARCHED = 2**10  # open pairs searched together, if there are more pairs
 _LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
 _Lengths = Float[Array, "n"]
 _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
+_ToCorners = Float[Array, "goals size"] | None  # the distances of prepared goals to all corners; None without these
 
 
 @pytree
@@ -94,11 +101,7 @@ class Ways:
 
 
 def shortest_ways(
-    tables: PairTables,
-    x: Points,
-    y: Points,
-    to_corners: Float[Array, "goals size"] | None = None,
-    goal: Rows | None = None,
+    tables: PairTables, x: Points, y: Points, to_corners: _ToCorners = None, goal: Rows | None = None
 ) -> Ways:
     """Find shortest paths between points ``x`` and ``y``, both relative to the middle of the domain.
 
@@ -113,31 +116,37 @@ def shortest_ways(
     return replace(ways, from_x=from_x, from_y=from_y)
 
 
-def _ways(
-    tables: PairTables, to_corners: Float[Array, "goals size"] | None, x: Points, y: Points, goal: Rows | None = None
-) -> Ways:
+def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal: Rows | None = None) -> Ways:
     """Find the shortest path of each pair of points: straight, or through corners that the points' leaves list."""
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
     size = len(tables.distances)
-    listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
-    # 1. Bound the path length through each corner of the first point's list.
+    listed = tables.listed[leaf_x].astype(jnp.uint32)
+    longest = tables.x.shape[1]
+    # 1. Bound the path length through each corner of the first point's list, |x - i| + `onward`. Between points,
+    #    `onward` is a linear function of y, unpacked from `PairTables.onward`: length + slopes . (y - middle), with
+    #
+    #        bits 24 to 31: slope along y   bits 16 to 23: slope along x   bits 0 to 15: length at the leaf's middle
+    #
+    #    For a prepared goal, it is the distance of the corner to the goal.
     if to_corners is not None:
         onward = gather(to_corners.ravel(), leaf_y[:, None] * size + listed)
     else:
         packed = gather(tables.onward.ravel(), leaf_y[:, None] * size + listed)
         length = jnp.where(packed & NO_WAY == NO_WAY, jnp.inf, (packed & NO_WAY).astype(jnp.float32) * tables.step)
+        # A slope is stored as `STEEPEST * (1 + slope)`.
         slopes = ((packed >> shift & 255).astype(jnp.float32) - STEEPEST for shift in (np.uint32(16), np.uint32(24)))
         away = (y - tables.middles[leaf_y]) / STEEPEST
         onward = length + sum(slope * along[:, None] for slope, along in zip(slopes, away.T, strict=True))
+    # A key has the bits of the bound, the last ones replaced by the place of the corner in the list (`_Pairs.keys`).
     bounds = jax.lax.bitcast_convert_type(jnp.maximum(_legs(tables, leaf_x, x) + onward, 0), jnp.uint32)
     keys = jax.lax.optimization_barrier(bounds & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
     # 2. Finish the pairs that see one another.
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
-    words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
+    none_hidden = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     no_turn = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = _Search(straight, no_turn, no_turn, _least(keys), words)
-    # 3. Search in rounds.
+    search = _Search(straight, no_turn, no_turn, _least(keys), none_hidden)
+    # 3. Search in rounds. Then look up the turns.
     pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
     search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
     is_straight = (search.via_x == longest)[:, None]
@@ -150,9 +159,9 @@ def _ways(
 
 def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
     """Repeat rounds of the search until no pair of points has a corner left that may shorten its path."""
+    # The search ends: each round drops a corner from a list of each open pair of points.
     size = search.length.shape[0]
 
-    # The search ends: each round drops a corner from a list of each open pair of points.
     def is_open(search: _Search) -> Flags:
         return _bound_of(search.key, pairs.keys.shape[1]) < search.length
 
@@ -168,63 +177,66 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
     return jax.lax.while_loop(lambda search: is_open(search).any(), each_round, search)
 
 
-def _after_round(
-    tables: PairTables, to_corners: Float[Array, "goals size"] | None, search: _Search, pairs: _Pairs
-) -> _Search:
-    # Try the next corner in the list of the first point's leaf, `search.key`, as the first turn of each path.
+def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pairs: _Pairs) -> _Search:
+    """Try the next corner in the list of the first point's leaf, ``search.key``, as the first turn of each path."""
+    # Below, `first` and `last` are places in lists, `corner` is an index of a corner, and `turn_x` is a point.
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
+    # 1. Decode the place of the first turn. The next key is the least one that is larger.
     first = search.key & _place_bits(pairs.keys.shape[1])
     next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
-    via_x, corner = _corner_of(tables, leaf_x, first), tables.listed[leaf_x, first].astype(jnp.uint32)
-    if to_corners is not None:
-        hidden = _is_leg_hidden(tables, leaf_x, first, x, via_x)
-        length = _norm(x - via_x) + gather(to_corners.ravel(), leaf_y * size + corner)
+    turn_x = _corner_of(tables, leaf_x, first)
+    corner = tables.listed[leaf_x, first].astype(jnp.uint32)
+    if to_corners is not None:  # the distance from the first turn to a prepared goal is known
+        hidden = _is_leg_hidden(tables, leaf_x, first, x, turn_x)
+        length = _norm(x - turn_x) + gather(to_corners.ravel(), leaf_y * size + corner)
         better = ~hidden & (length < search.length)
         length, via_x = jnp.where(better, length, search.length), jnp.where(better, first, search.via_x)
         return replace(search, length=length, via_x=via_x, key=next_key)
-    # Find the last corner of the shortest path from there. Corners that are known to be hidden are left out.
+    # 2. Find the last turn of the shortest path from there. Corners that are known to be hidden are left out.
     columns = np.arange(pairs.keys.shape[1], dtype=np.uint32)[None]
     bits = search.hidden_y[:, :, None] >> np.arange(32, dtype=np.uint32)[None, None]
     is_left_out = (bits.reshape(bits.shape[0], -1)[:, : columns.size] & 1).astype(bool)
     listed = tables.listed[leaf_y].astype(jnp.uint32)
     onward = _legs(tables, leaf_y, y) + gather(tables.distances.ravel(), corner[:, None] * size + listed)
     onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
-    rest = onward.min(axis=1)
-    last = _least(jnp.where(onward == rest[:, None], columns, columns.size - 1))
-    legs = ((leaf_x, leaf_y), (first, last), (x, y), (via_x, _corner_of(tables, leaf_y, last)))
+    shortest = onward.min(axis=1)  # from the first turn to y
+    last = _least(jnp.where(onward == shortest[:, None], columns, columns.size - 1))
+    # 3. Test both legs together, and compare the path with the shortest one so far.
+    legs = ((leaf_x, leaf_y), (first, last), (x, y), (turn_x, _corner_of(tables, leaf_y, last)))
     hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, legs)), 2)
-    # Go on to the next first corner, unless only the last corner is hidden: then the next round tries another last
-    # corner.
-    length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - via_x) + rest)
+    length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - turn_x) + shortest)
     better = length < search.length
     word = np.arange(search.hidden_y.shape[1], dtype=np.uint32)[None] == (last >> 5)[:, None]
     bit = jnp.where(word & hidden_y[:, None], jnp.uint32(1) << (last & 31)[:, None], 0)
+    # 4. Go on to the next first turn, unless only the last turn is hidden: then the next round tries another one.
     return _Search(
         length=jnp.where(better, length, search.length),
         via_x=jnp.where(better, first, search.via_x),
         via_y=jnp.where(better, last, search.via_y),
-        key=jnp.where(hidden_x | ~hidden_y | (rest == jnp.inf), next_key, search.key),
+        key=jnp.where(hidden_x | ~hidden_y | (shortest == jnp.inf), next_key, search.key),
         hidden_y=search.hidden_y | bit,
     )
 
 
 def _place_bits(longest: int) -> np.uint32:
-    # The lower bits of a key hold a place in a list, its other bits those of a float.
+    # The lower bits of a key hold a place in a list, its other bits those of a float: as many bits as places need.
     return np.uint32(padded_size(longest) - 1)
 
 
 def _bound_of(key: Rows, longest: int) -> _Lengths:
+    # Without its last bits the bound is rounded down, so it is still a lower bound.
     return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
 
 
 def _least(values: UInt32[Array, "n columns"]) -> Rows:
-    # Compilers are faster if both halves of the columns are compared first.
+    # The minimum of each row. Compilers are faster if both halves of the columns are compared first.
     while values.shape[1] > 8 and values.shape[1] % 2 == 0:
         values = jnp.minimum(*jnp.split(values, 2, axis=1))
     return values.min(axis=1)
 
 
 def _legs(tables: PairTables, leaf: Rows, x: Points) -> Float[Array, "n longest"]:
+    # The distances of points to the corners that their leaves list.
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
@@ -238,20 +250,21 @@ def _norm(v: Points) -> _Lengths:
 
 
 def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-    if tables.near is None:
-        return is_hidden(tables, x, corner)
-    return tables.near.hide(leaf, place, x, corner)
+    return is_hidden(tables, x, corner) if tables.near is None else tables.near.hide(leaf, place, x, corner)
 
 
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
-    """Return whether obstacles separate points: occluders, segments inside obstacles, decide most, walls the rest."""
+    """Return whether obstacles separate pairs of points: occluders decide most pairs, walls the others."""
     # Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
     # another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another.
     # It counts only if `tables.is_certain`: then paths must be certainly free.
+    #
+    # 1. Test the occluders.
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
 
+    # 2. Test the walls, group by group.
     def cross(crossed: _Crossed, walls: Any, x: Points, y: Points) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
@@ -263,7 +276,8 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
         walls, (middle_x, middle_y, half_x, half_y) = group
         if takes_all:
             return cross(crossed, walls, x, y), None
-        # Test only pairs whose segment no axis separates from the box.
+        # Test only pairs whose segment no axis separates from the box: both coordinate axes, and the axis across the
+        # segment. The segment's middle is at d / 2, the box's at `to`, both seen from the segment's start.
         along_x, along_y, to_x, to_y = jnp.abs(dx), jnp.abs(dy), middle_x - px, middle_y - py
         meets = (jnp.abs(dx - 2 * to_x) <= along_x + 2 * half_x) & (jnp.abs(dy - 2 * to_y) <= along_y + 2 * half_y)
         meets &= jnp.abs(dx * to_y - dy * to_x) <= along_x * half_y + along_y * half_x

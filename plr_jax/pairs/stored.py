@@ -18,17 +18,21 @@ from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
 MITRE = 4.0  # how far a point moves at most if walls move by 1; farther for tips, which are closed again
-_COUNT_BITS = 32
+_COUNT_BITS = 32  # of the number of rings in a file
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Boundary of free space: closed rings of lattice points, joined by walls that have free space on their left."""
+    """Boundary of free space: closed rings of lattice points, joined by walls that have free space on their left.
+
+    Wall ``i`` leads from point ``i`` to the next point of its ring, ``following[i]``. Walls without length are
+    allowed.
+    """
 
     origin: Float[np.ndarray, "2"]  # position of the lattice point (0, 0)
     step: float
-    points: Int[np.ndarray, "points 2"]  # in lattice steps; wall ``i`` leads from point ``i`` to the next of its ring
+    points: Int[np.ndarray, "points 2"]  # in lattice steps
     first: Int[np.ndarray, " rings_plus_one"]  # index of the first point of each ring
     may_squeeze: bool  # whether a path may pass contacts, points where obstacles touch
     # Walls that may leave their obstacle when they move back. Lower bounds ignore these walls.
@@ -36,16 +40,19 @@ class Outline:
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
+        """The points in workspace units."""
         return self.origin + self.step * self.points
 
     @cached_property
     def following(self) -> Int[np.ndarray, " points"]:
+        """Index of the next point of each point's ring."""
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
 
     @property
     def is_thin(self) -> Bool[np.ndarray, " points"]:
+        """Mask of the thin walls."""
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
@@ -65,26 +72,37 @@ class Outline:
 
     @cached_property
     def following_past_contacts(self) -> Int[np.ndarray, " points"]:
-        # The next point around the same obstacle. Obstacles that touch where no path may pass count as two.
-        # Around a contact, counterclockwise: a wall that leaves, free space, the wall of its ring that arrives, an
-        # obstacle, the next wall that leaves. So a wall that arrives leads on, around its obstacle, to this next one.
-        following, at = self.following.copy(), np.flatnonzero(self.is_contact & self._has_length)
-        before = np.argsort(following)[at]
-        onward = (self.points[following] - self.points)[at].astype(float)
-        _, place = np.unique(self.points[at], axis=0, return_inverse=True)
-        order = np.lexsort((pseudo_angle(*onward.T), place.ravel()))
+        """The next point around the same obstacle. Obstacles that touch where no path may pass count as two."""
+        # A ring follows free space. At a contact P it goes on with the next wall clockwise, across free space; an
+        # obstacle's outline goes on with the next wall counterclockwise, across the obstacle:
+        #
+        #            free            Counterclockwise around P come a wall that leaves (a'), free space, the wall of
+        #       a  \     / a'        its ring that arrives (a), an obstacle, the next wall that leaves (b'), free
+        #    obstacle P obstacle     space, the wall that arrives (b), an obstacle.
+        #       b' /     \ b         Rings go from a to a' and from b to b'; obstacles, from a to b' and from b to a'.
+        #            free
+        following = self.following.copy()
+        contact = np.flatnonzero(self.is_contact & self._has_length)
+        previous = np.argsort(following)[contact]
+        leaving = (self.points[following] - self.points)[contact].astype(float)
+        # Sort the walls that leave by place, then by angle. After each of them, take the next one of its place,
+        # cyclically: `first` is the index in this order of the first wall of the same place.
+        _, place = np.unique(self.points[contact], axis=0, return_inverse=True)
+        order = np.lexsort((pseudo_angle(*leaving.T), place.ravel()))
         first = np.searchsorted(place.ravel()[order], place.ravel()[order])
-        is_last = np.append(np.diff(first) > 0, True)[: len(at)]
-        following[before[order]] = at[order[np.where(is_last, first, np.arange(len(at)) + 1)]]
+        is_last = np.append(np.diff(first) > 0, True)[: len(contact)]
+        following[previous[order]] = contact[order[np.where(is_last, first, np.arange(len(contact)) + 1)]]
         return following
 
     def _beside(
         self, following: Int[np.ndarray, " points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        # Walls that arrive and leave are vectors; walls without length are skipped.
-        leaving, comes_from = self.points[following] - self.points, np.argsort(following)
-        arriving = leaving[comes_from]
-        for walls, beyond in ((leaving, following), (arriving, comes_from)):
+        """Return the walls that arrive at each point and leave it, as vectors; walls without length are skipped."""
+        leaving = self.points[following] - self.points
+        previous = np.argsort(following)
+        arriving = leaving[previous]
+        # Let a wall without length take over the vector of the wall behind it, which may itself have just done so.
+        for walls, beyond in ((leaving, following), (arriving, previous)):
             while len(flat := np.flatnonzero(~walls.any(axis=1) & walls[beyond].any(axis=1))):
                 walls[flat] = walls[beyond[flat]]
         return arriving, leaving
@@ -103,9 +121,14 @@ class Outline:
 
     @cached_property
     def region(self) -> Any:
-        # Use the even-odd rule: rings may touch, unlike those of a valid Shapely polygon.
+        """Free space as a Shapely geometry, by the even-odd rule: unlike in a valid polygon, rings may touch.
+
+        ``ValueError`` if walls cross one another too often, as in a corrupt file.
+        """
         import shapely
 
+        # 1. Count the crossings of walls, and the walls that meet at points. Give up if they are more than two or
+        #    three times as many as the walls.
         ends = self.moved_walls(0.0).reshape(-1, 2, 2)
         lines: Any = shapely.linestrings(ends)
         tree: Any = shapely.STRtree(lines)
@@ -116,39 +139,53 @@ class Outline:
                 meetings += tree.query(shapes[begin : begin + _WALLS_AT_ONCE], predicate=predicate).shape[1]
                 if meetings > most:
                     raise ValueError(f"the {len(lines):,} walls of its outline cross one another too often")
-        walls: Any = shapely.union_all(lines)
-        polygons: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
-        # A polygon between walls is free if an odd number of walls crosses the ray to the left from a point in it.
+        # 2. Divide the plane by the walls into polygons.
+        pieces: Any = shapely.get_parts(shapely.union_all(lines))
+        polygons: Any = shapely.get_parts(shapely.polygonize(pieces))
+        # 3. Keep polygons that are free: an odd number of walls a-b crosses the ray to the left from a point p
+        #    inside. A wall does if a and b are on two sides of the ray's line, which the wall meets at x < px.
         px, py = shapely.get_coordinates(shapely.point_on_surface(polygons)).T[:, :, None]
         (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            is_left = (ay > py) != (by > py)
-            is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
-        return shapely.union_all(polygons[is_left.sum(axis=1) % 2 == 1])
+            is_crossed = (ay > py) != (by > py)
+            is_crossed &= ax + (py - ay) / (by - ay) * (bx - ax) < px
+        return shapely.union_all(polygons[is_crossed.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, moves_all: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
 
-        A negative distance moves walls into free space. At sharp corners they move less. A positive one moves walls
-        of thin obstacles only if ``moves_all``; if not, more walls follow, which close the gaps at contacts and tips.
+        A negative distance moves all walls into free space, at sharp corners less. A positive distance moves walls of
+        thin obstacles only if ``moves_all``; if not, more walls follow, which close the gaps at contacts and tips.
         """
-        # Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
-        # path slips through, two walls of opposite directions join each old place, or a point near the tip, to the
-        # new place. Walls of thin obstacles stay. With `moves_all`, they move too, and no walls are added.
+        # Into obstacles, a contact moves to one place in each obstacle, and a sharp tip moves far. So that no path
+        # slips through, two walls of opposite directions join the new place to the old place of a contact, or to a
+        # point near the old tip:
+        #
+        #     ----____
+        #     --__    ----____           tip: the old place of a sharp tip
+        #         m======s    > tip      m:   its new place, where the moved walls meet
+        #     --''    ____----           s:   `MITRE * distance` behind the old tip; the added walls are m-s and s-m
+        #     ----''''
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, moves_all)
         walls = np.concatenate([moved, moved[following]], axis=1)
         if distance <= 0 or moves_all:
             return walls
-        away = self.positions - moved
-        far = np.linalg.norm(away, axis=1)
-        most = np.where(self.is_contact, 0.0, MITRE * distance)
-        tips = np.flatnonzero(far > most)
-        start = self.positions[tips] - (most[tips] / far[tips])[:, None] * away[tips]
+        back = self.positions - moved
+        far = np.linalg.norm(back, axis=1)
+        gap = np.where(self.is_contact, 0.0, MITRE * distance)  # between the old place and s
+        tips = np.flatnonzero(far > gap)
+        start = self.positions[tips] - (gap[tips] / far[tips])[:, None] * back[tips]
         return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Return the sides of rectangles around walls of thin obstacles, ``distance`` away from the wall."""
+        """Return the sides of rectangles around walls of thin obstacles, ``distance`` away from the wall.
+
+        Sides are rows ``(x0, y0, x1, y1)``, clockwise around the wall, so that free space is on their left.
+        """
+        #     0-----------------1
+        #     |  start---->end  |      corners, `aside` from the wall's line, `along` beyond its ends
+        #     3-----------------2
         start, end = self.positions[self.thin], self.positions[self.following[self.thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
@@ -158,38 +195,46 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
+        """Return the points' places after walls move by ``distance`` into obstacles (negative: into free space)."""
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, " points"]:
-        # Points that stay if walls move into obstacles block sight, as do contacts.
+        """Mask of points that block sight after walls move into obstacles: contacts, and points that stay."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, moves_all: bool = False) -> Float[np.ndarray, "points 2"]:
-        # Return a vector per point, towards free space: if each point moves by minus `distance` times its vector,
-        # walls move by `distance` into obstacles, or into free space if it is negative, and less at sharp corners.
-        # Into obstacles, unless `moves_all`, two kinds of points stay: those between two walls of thin obstacles, and
-        # both ends of a wall that would change direction, as at the end of a thin obstacle.
+        """Return how points move with their walls: a point moves by minus ``distance`` times its vector.
+
+        Vectors lead into free space. Walls move by ``distance``, less at sharp corners. If it is positive and not
+        ``moves_all``, two kinds of points stay: those between two walls of thin obstacles, and both ends of a wall
+        that would change direction, as at the end of a thin obstacle.
+        """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
+        # 1. Move both walls of each point by 1: m = (n0 + n1) / (1 + n0 . n1) has m . n0 = m . n1 = 1, with the unit
+        #    normals n0 of the wall that arrives and n1 of the wall that leaves. A wall without length has n = 0.
         before, normal = map(_normal_of, self._beside(following))
-        # m = (n0 + n1) / (1 + n0 . n1) has m . n0 = m . n1 = 1: both walls, of unit normals n0 and n1, move by 1.
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
+        # 2. Limit the length: into free space, to `MITRE`. Into obstacles, tips recede until their walls have moved
+        #    by the distance, but at most along a quarter of the shorter wall, or by `MITRE` distances.
         if distance <= 0:
             return mitre * np.minimum(1, MITRE / np.maximum(length, 1e-12))
-        # Tips recede until their walls have moved by the distance, but at most along a quarter of these walls.
-        long = np.linalg.norm(onward, axis=1)
-        short = np.minimum(long, long[np.argsort(following)])[:, None]
-        mitre *= np.minimum(1, np.maximum(MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
+        previous = np.argsort(following)
+        wall_length = np.linalg.norm(onward, axis=1)
+        shorter = np.minimum(wall_length, wall_length[previous])[:, None]
+        mitre *= np.minimum(1, np.maximum(MITRE, shorter / (4 * distance)) / np.maximum(length, 1e-12))
         if moves_all:
             return mitre
-        mitre[self.is_thin & self.is_thin[np.argsort(following)]] = 0.0
+        # 3. Let points stay: first between thin walls, then at both ends of walls that would still be turned round.
+        mitre[self.is_thin & self.is_thin[previous]] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
         mitre[turned] = mitre[following[turned]] = 0.0
         return mitre
 
     def write(self, body: BitWriter) -> None:
+        """Encode all but the origin and the thin walls, which the file holds elsewhere."""
         body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
         body.write(np.array([self.may_squeeze], np.int64), 1)
         sizes = np.diff(self.first)
@@ -199,6 +244,7 @@ class Outline:
 
 
 def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """Return the unit normals on the left of walls, 0 for a wall without length."""
     is_wall = walls.any(axis=1, keepdims=True)
     return np.where(is_wall, left_normal(np.where(is_wall, walls, 1.0)), 0.0)
 
@@ -214,6 +260,7 @@ def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
     if not num_rings or sizes.min() < 3:
         raise ValueError("each of its rings must have three points or more, and it needs one ring")
     first = np.concatenate([[0], np.cumsum(sizes)])
+    # Coordinates are stored as differences from the point before, across rings.
     points = np.stack([np.cumsum(body.read_signed(int(first[-1]))) for _ in range(2)], axis=1)
     return Outline(origin, float(step), points, first, may_squeeze)
 
@@ -224,7 +271,10 @@ _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 def distances_by_rows(
     points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Yield the matrix of shortest path lengths along edges in blocks of rows, each after its first row's index."""
+    """Yield the matrix of shortest path lengths along straight edges between points, in blocks of rows.
+
+    A block comes after the index of its first row. Lengths are ``inf`` without a path.
+    """
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
@@ -235,16 +285,21 @@ def distances_by_rows(
 
 
 def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
+    """Return the matrix of distances between corners, in 32 bits, padded with ``inf``."""
     table = np.full((size, size), np.inf, np.float32)
     for first, rows in distances_by_rows(stored.points, stored.edges):
         table[first : first + len(rows), : len(stored.points)] = rows
     return table
 
 
+# Limits of files: a reader refuses files whose tables would take too much memory.
 MOST_CORNERS = 2**13
 WIDEST = 1e18  # largest domain width: squares of distances stay finite in 32 bits
 _MOST_NUMBERS = 2**24  # entries of the query table of leaves and corners
-_MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
+# List entries of the leaves so far, and of the nodes of the next level while it is decoded: at most
+# `_MOST_ENTRIES_A_BYTE` for each byte of the file, or `_LEAST_ENTRIES` if this is more.
+_MOST_ENTRIES_A_BYTE = 2**6
+_LEAST_ENTRIES = 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,8 +311,10 @@ class PairsFileData:
     corner: Int[np.ndarray, " corners"]  # outline points that are corners, ascending
     edges: Int[np.ndarray, "edges 2"]  # pairs of corners that a shortest path may join straight, the smaller first
     tree: Tree
-    leaf: Int[np.ndarray, " entries"]  # ascending
-    listed: Int[np.ndarray, " entries"]  # a corner where shortest paths from the leaf may turn first, ascending
+    # List entries: a leaf, and a corner where shortest paths from the leaf may turn first. Sorted by leaf, then
+    # corner.
+    leaf: Int[np.ndarray, " entries"]
+    listed: Int[np.ndarray, " entries"]
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
 
@@ -271,28 +328,31 @@ class PairsFileData:
 
     def to_bytes(self) -> bytes:
         """Encode the file: a layer of the map and its corners, then a layer of the leaves and their lists."""
-        first, lists, count = BitWriter(), BitWriter(), len(self.corner)
+        # 1. Write the map, the corners, and the pairs of corners: i < j has the number j (j - 1) / 2 + i.
+        first, count = BitWriter(), len(self.corner)
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
-        is_corner, is_joined = np.zeros(len(self.outline.points), bool), np.zeros(count * (count - 1) // 2, bool)
+        is_corner = np.zeros(len(self.outline.points), bool)
         is_corner[self.corner] = True
+        first.write_set(is_corner)
+        is_joined = np.zeros(count * (count - 1) // 2, bool)
         i, j = self.edges.T
         is_joined[j * (j - 1) // 2 + i] = True
-        first.write_set(is_corner)
         first.write_set(is_joined)
         if len(self.outline.thin):
             first.write_set(self.outline.is_thin)
-        write_tree(lists, self.tree)
-        # A node lists the union of its halves' lists. The file stores which of its parent's corners it drops.
-        tree = self.tree
-        of_node = np.zeros((len(tree.child), count), bool)
-        of_node[tree.node_of_leaf[self.leaf], self.listed] = True
+        # 2. Write the tree and the lists. A node lists the union of its halves' lists. Level by level, the file
+        #    stores which of its parent's corners each node drops; the root drops corners that no leaf lists.
+        lists, tree = BitWriter(), self.tree
+        write_tree(lists, tree)
+        is_listed = np.zeros((len(tree.child), count), bool)  # by node and corner
+        is_listed[tree.node_of_leaf[self.leaf], self.listed] = True
         for split in reversed(tree.splits):
-            of_node[split] = of_node[tree.child[split]] | of_node[tree.child[split] + 1]
-        lists.write_set(~of_node[0])
+            is_listed[split] = is_listed[tree.child[split]] | is_listed[tree.child[split] + 1]
+        lists.write_set(~is_listed[0])
         for split in filter(len, tree.splits):
-            inherited, own = of_node[np.repeat(split, 2)], of_node[tree.halves(split)]
-            lists.write_set(~own[inherited])
+            by_parent, by_half = is_listed[np.repeat(split, 2)], is_listed[tree.halves(split)]
+            lists.write_set(~by_half[by_parent])
         layers = tuple(Layer(PAIRS_CODE, body.to_bytes()) for body in (first, lists))
         return Container(self.domain, layers, label=self.label).to_bytes()
 
@@ -321,8 +381,9 @@ class PairsFileData:
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         if (count := len(corner)) > MOST_CORNERS:
             raise ValueError(f"it may have at most {MOST_CORNERS} corners, got {count}")
-        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Its root gives j up to
-        #    rounding, which the next two lines correct.
+        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Solved for j with i =
+        #    0, this gives j up to rounding, which the next two lines correct. Files of release 0.1 may have the pairs
+        #    in a layer of their own, with a rounding error that counts instead.
         if others:
             if not body.at_end():
                 raise ValueError("it holds more data than its outline needs")
@@ -362,25 +423,30 @@ def _read_rounding(body: BitReader) -> float:
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
-    # Return the leaf and the corner of each entry of a list. Level by level, each half of a split node takes over its
-    # parent's list, less the entries that the file says it drops.
-    corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
-    nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
+    """Return the leaf and the corner of each list entry, sorted by leaf; ``ValueError`` for over ``most`` entries."""
+    # Level by level, each half of a split node takes over its parent's list, less the corners that the file says it
+    # drops. `nodes` are the nodes of a level. Entry k of the level has the node `nodes[row[k]]` and `corner[k]`.
+    corner = np.flatnonzero(~body.read_set(count))
+    nodes, row = np.zeros(1, np.int64), np.zeros(len(corner), np.int64)  # the root alone
+    entries_of_leaves, num_of_leaves = [], 0
     for split in tree.splits:
-        place = tree.leaf_of_node[nodes[node]]
-        parts.append((place[place >= 0], corner[place >= 0]))
-        listed_so_far += len(parts[-1][0])
+        # 1. Set the lists of leaves aside.
+        place = tree.leaf_of_node[nodes[row]]  # -1 for nodes that are split
+        entries_of_leaves.append((place[place >= 0], corner[place >= 0]))
+        num_of_leaves += len(entries_of_leaves[-1][0])
+        # 2. Copy the list of each split node to both halves, in the order lower, upper.
         halves = tree.halves(split)
-        first = np.searchsorted(node, np.arange(len(nodes) + 1))
+        first = np.searchsorted(row, np.arange(len(nodes) + 1))
         parent = np.repeat(np.searchsorted(nodes, split), 2)
-        if listed_so_far + int((first[parent + 1] - first[parent]).sum()) > most:
+        if num_of_leaves + int((first[parent + 1] - first[parent]).sum()) > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
-        rows, node = take_ragged(first, parent)
-        corner = corner[rows]
+        inherited, row = take_ragged(first, parent)
+        corner = corner[inherited]
+        # 3. Drop corners.
         if len(halves):
             is_kept = ~body.read_set(len(corner))
-            node, corner = node[is_kept], corner[is_kept]
+            row, corner = row[is_kept], corner[is_kept]
         nodes = halves
-    leaf, listed = (np.concatenate(column) for column in zip(*parts, strict=True))
+    leaf, listed = (np.concatenate(column) for column in zip(*entries_of_leaves, strict=True))
     order = np.argsort(leaf, kind="stable")
     return leaf[order], listed[order]

@@ -16,7 +16,8 @@ from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.tables import Tables, build_tables
 
-_UNROLLED, _CLUSTER = 16, 32  # occluders, and neighboring walls in a box, tested in one step of a loop
+_UNROLLED = 16  # occluders tested in one step of a loop
+_CLUSTER = 32  # neighboring walls in a box, tested in one step of a loop
 _PATHS_AT_ONCE = 2**16  # paths from corners to leaves that fit into caches
 STEEPEST = 127  # slope of a bound that rises by 1 for each unit of length, in the numbers of `PairTables.onward`
 NO_WAY = np.uint32(2**16 - 1)  # length of `PairTables.onward` for corners without a path to the leaf
@@ -46,8 +47,11 @@ class PairTables:
     listed: UInt16[Array, "leaves longest"]  # index of each of these corners; padding is the number of corners
     distances: Float[Array, "size size"]  # between corners
     # A lower bound of the length of paths from each corner, by the corners that a leaf lists, to points of the leaf.
-    # It is linear in the point. The last 16 bits are its value at the middle of the leaf's box, in units of `step`,
-    # rounded down. Two times 8 bits are its slopes along both axes, times `STEEPEST`, plus `STEEPEST`.
+    # It is linear in the point:
+    #
+    #     bits 24 to 31: slope along y    bits 16 to 23: slope along x    bits 0 to 15: value at `middles`
+    #
+    # The value is in units of `step`, rounded down. Slopes are stored times `STEEPEST`, plus `STEEPEST`.
     onward: UInt32[Array, "leaves size"]
     step: Float[Array, ""]
     middles: Float[Array, "leaves 2"]  # of the boxes of leaves
@@ -62,29 +66,32 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
+    """Return the size of tables of corners."""
     # One of few sizes, so that few functions are compiled, with room for a corner at `inf`.
     return size_in_eighths(num_corners + 1)
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    # The sizes of some tables depend only on `num_bytes`, the size of the file.
+    """Build the arrays of a file; sizes of some arrays depend only on ``num_bytes``, the size of the file."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
-    cells, count = stored.cells, len(stored.corner)
-    size, rows = table_size(count), size_in_eighths(len(cells))
+    width = float(stored.domain.width.max())
+    cells, num_corners = stored.cells, len(stored.corner)
+    size, rows = table_size(num_corners), size_in_eighths(len(cells))  # of tables of corners and of leaves
     scene, upper_scene = (Scene.of(stored, is_certain) for is_certain in (False, True))
     lower_walls = Scene.of(stored, False, for_lower_bounds=True).walls
     # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
-    listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
+    listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), num_corners, np.uint16)
     listed[ragged_indices(lengths)] = stored.listed
     # 2. Choose occluders deeper inside obstacles than walls move back, and find walls near listed corners.
     try:
-        depth = 4 * RECEDING * float(stored.domain.width.max())
+        depth = 4 * RECEDING * width
         occluders = occluders_of(stored.outline.region, stored.domain, depth, len(stored.outline.points))
     except ValueError:  # the file has details finer than its lattice: only walls block sight
         occluders = np.zeros((0, 7))
-    margin, (lo, hi) = MARGIN * float(stored.domain.width.max()), cells.grown_boxes(domain)
+    lo, hi = cells.grown_boxes(domain)
+    margin = MARGIN * width
     near = NearWalls.of((lo, hi), stored.leaf, stored.listed, scene.corners[:-1], scene.walls, margin, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
@@ -96,11 +103,13 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
 
     def in_boxes(walls: Float[np.ndarray, "n 4"]) -> Walls:
         ends = walls.reshape(-1, 2, 2)
-        # Sort the walls by the Morton code of their middles, so that groups are compact.
+        # Sort the walls by the Morton code of their middles, so that groups are compact. Bit k of a middle's x and y,
+        # in 1 / 2**10 of the width, becomes bit 2 k or 2 k + 1 of the code.
         place = ((ends.mean(axis=1) / domain.width + 0.5) * 2**10).astype(int)
         bits = place[:, :, None] >> np.arange(10) & 1
         order = np.argsort((bits << 2 * np.arange(10) + np.arange(2)[:, None]).sum(axis=(1, 2)), kind="stable")
         groups, ends = in_groups(walls[order], _CLUSTER), ends[order]
+        # Boxes of groups without walls have their lower corner beyond their upper one: no segment meets them.
         count, margin = len(groups) * _CLUSTER, RECEDING * float(domain.width.max())
         lo = padded(ends.min(axis=1), count, _NOWHERE).reshape(-1, _CLUSTER, 2).min(axis=1) - margin
         hi = padded(ends.max(axis=1), count, -_NOWHERE).reshape(-1, _CLUSTER, 2).max(axis=1) + margin
@@ -112,7 +121,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     step = np.asarray(longest / (NO_WAY - 1), np.float32)
     middles = ((lo + hi) / 2).astype(np.float32)
     halves = np.maximum(hi - middles, middles - lo) / _SHRUNK
-    middles, halves = (padded(each, rows).astype(np.float32) for each in (middles, halves))
+    middles, halves = (padded(column, rows).astype(np.float32) for column in (middles, halves))
     corners = padded(scene.corners, size, np.inf).astype(np.float32)
     x, y = (along[listed] for along in corners.T)
     return PairTables(
@@ -145,40 +154,48 @@ def _bounds_to_leaves(
     halves: Float[np.ndarray, "rows 2"],
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
-    # A distance from a corner is convex, so above its tangent plane at the middle of a leaf's box. Take the plane of
-    # the corner with the shortest path to the middle, lowered below the planes of all listed corners in the box:
-    # d_k + |m - k| + s_k . (x - m) is the plane of the path over listed corner k, d_k from the corner, with the unit
-    # vector s_k from k to the middle m. In a box of half widths h, a plane of slopes s is below it if its value at m
-    # is at most d_k + |m - k| - sum(|s_k - s| * h).
+    """Return `PairTables.onward`: bounds of path lengths from each corner to points of each leaf."""
+    # Fix a corner a and a leaf, whose box has the middle m and the half widths h. The path from a over the listed
+    # corner k to a point x has the length d_k + |x - k|, with the distance d_k between a and k. It is convex in x, so
+    # at least
+    #
+    #     p_k(x) = d_k + |m - k| + s_k . (x - m),     its tangent plane at m; s_k is the unit vector from k to m.
+    #
+    # Take the slopes s of the plane whose corner has the shortest path to m, rounded to multiples of 1 / STEEPEST. In
+    # the box, a plane of slopes s is below all p_k if its value at m is at most
+    #
+    #     min over k of d_k + |m - k| - bend_k,       bend_k = sum over axes of |s_k - s| h.
     onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
-    counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)
+    counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)  # listed corners of each leaf, without padding
     for count in np.unique(counts[counts > 0]):
         leaves = np.flatnonzero(counts == count)
         at_once = max(1, _PATHS_AT_ONCE // (count * len(distances)))
-        for some in (leaves[first : first + at_once] for first in range(0, len(leaves), at_once)):
-            corner = listed[some, :count]
-            x, y = (middles[some, None] - corners[corner]).transpose(2, 0, 1)
+        for batch in (leaves[first : first + at_once] for first in range(0, len(leaves), at_once)):
+            # 1. Compute s_k and |m - k| for each leaf and k, and the rounded slopes.
+            corner = listed[batch, :count]
+            x, y = (middles[batch, None] - corners[corner]).transpose(2, 0, 1)
             length = np.sqrt(x * x + y * y)
-            along = [np.divide(each, length, out=np.zeros_like(each), where=length > 0) for each in (x, y)]
-            slopes = [np.round(STEEPEST * each) for each in along]
-            # How far the plane of each path must be lowered to be below another path in the box.
+            unit = [np.divide(along, length, out=np.zeros_like(along), where=length > 0) for along in (x, y)]
+            slopes = [np.round(STEEPEST * along) for along in unit]
+            # 2. Compute `bend[leaf, k, l]`: how far the plane of k must be lowered to have the slopes of l's plane.
             bend = np.zeros((*corner.shape, count), np.float32)
-            for of_path, slope, half in zip(along, slopes, halves[some].T, strict=True):
+            for of_path, slope, half in zip(unit, slopes, halves[batch].T, strict=True):
                 bend += np.abs(of_path[:, :, None] - slope[:, None] / STEEPEST) * half[:, None, None]
-            slope_x, slope_y = ((each + STEEPEST).astype(np.uint32) for each in slopes)
-            slopes = slope_x << 16 | slope_y << 24
+            slope_x, slope_y = ((along + STEEPEST).astype(np.uint32) for along in slopes)
+            packed_slopes = slope_x << 16 | slope_y << 24
+            # 3. Compute `paths[leaf, k, a]`, d_k + |m - k|. Lower it by the bend of the shortest path, in place.
             paths = distances.take(corner, axis=0)
             paths += length[:, :, None]
             shortest = paths.argmin(axis=1)
             paths *= _SHRUNK
-            for path, lowered, slope, column, place in zip(paths, bend, slopes, shortest, some, strict=True):
+            for path, lowered, slope, column, leaf in zip(paths, bend, packed_slopes, shortest, batch, strict=True):
                 path -= lowered.take(column, axis=1)
-                onward[place] = slope.take(column)
+                onward[leaf] = slope.take(column)
+            # 4. Pack the values at m, rounded down. Bounds below 0 become level planes of value 0.
             least = paths.min(axis=1)
-            reached = np.isfinite(least)
-            steps = np.minimum(np.where(reached, least, 0) / step, NO_WAY - 1)
-            slopes = onward[some]
+            is_reached = np.isfinite(least)
+            steps = np.minimum(np.where(is_reached, least, 0) / step, NO_WAY - 1)
             is_positive = steps >= 0
             steps = np.where(is_positive, steps, 0).astype(np.uint32)
-            onward[some] = np.where(reached, np.where(is_positive, slopes, _LEVEL) | steps, NO_WAY)
+            onward[batch] = np.where(is_reached, np.where(is_positive, onward[batch], _LEVEL) | steps, NO_WAY)
     return onward
