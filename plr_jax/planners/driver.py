@@ -362,7 +362,7 @@ class Run:
         if table is None:
             return state
         table.memory_use.release()
-        # Drop the rows at the end in which all robots wait: keep one of the equal last rows (their number is `argmin`).
+        # Drop the rows at the end in which all robots wait, but keep one (`argmin` is the number of equal last rows).
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
