@@ -263,8 +263,8 @@ def _least_cost_through(cost: Costs) -> Costs:
     Entry ``[k, a, b]`` of ``cost`` is the cost from configuration ``a`` of row ``k`` to ``b`` of row ``k + 1``. Paths
     begin and end at configuration 0 of the first and the last row.
     """
-    # Dynamic programming in both directions at once. so_far[k, 0, a] is the least cost from the start to configuration
-    # a of row k. so_far[k, 1, a] is the least cost from configuration a, k rows before the last one, to the end.
+    # Dynamic programming in both directions at once. so_far[k, 0, a] is the least cost from the start to
+    # configuration a of row k. so_far[k, 1, a] is that from configuration a, k rows before the last one, to the end.
     both_ways = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
