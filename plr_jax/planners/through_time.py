@@ -74,9 +74,9 @@ class Timetable:
         num_steps = count[motion, None]
         first, last = (between(begin[motion], end[motion], (step[:, None] + ahead) / num_steps) for ahead in (0, 1))
         piece, _ = self._meetings(i, first, last, row[motion] + step)
-        are_free = np.ones(len(begin), dtype=bool)
-        are_free[motion[piece]] = False
-        return are_free
+        is_free = np.ones(len(begin), dtype=bool)
+        is_free[motion[piece]] = False
+        return is_free
 
     def meetings(self, i: int, q: Motion) -> Meetings:
         """Return the time steps at which robot ``i`` meets others, on motion ``q`` or at rest after it, and whom."""
@@ -87,7 +87,7 @@ class Timetable:
 
     def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, " rows"]:
         """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
-        # The result is inf if there is no such row. Robots at rest block `q` for up to `patience` rows after the last.
+        # The result is inf if there is no such row. Robots at rest block `q` for `patience` rows after the last row.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
         is_taken = np.zeros(len(row), dtype=bool)
