@@ -175,8 +175,7 @@ class MotionTest:
         crossing = u - v * np.divide(du, dv, out=np.zeros_like(du), where=dv != 0)
         crosses = (v * (v + dv) < 0) & (crossing >= 0) & (crossing <= length)
         distance = np.where(crosses, 0.0, np.min([*ends, *corners], axis=0))
-        # 2. A robot collides if the distance is below its inscribed radius, and not if it is above its circumscribed
-        #    one.
+        # 2. The inscribed disc hits the edge, or the circumscribed disc misses it, or the pair is undecided.
         clear[piece[distance < robot.inscribed_radius - tolerance]] = False
         if robot.inscribed_radius == robot.circumscribed_radius:
             return clear
