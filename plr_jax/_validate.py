@@ -111,7 +111,8 @@ class _Encounter:
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return the signed distance between both bodies at times ``when``, negative if they overlap."""
-        bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
+        bodies = _bodies(self.robot, _at(self.path, when))
+        others = np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
         distance = np.asarray(shapely.distance(bodies, others))
@@ -127,8 +128,10 @@ class _Encounter:
         return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
 
     def swept(self, motion: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        # Without turns, the robot sweeps the convex hull of both its ends.
-        start, others = _corners(self.robot, self.path[motion]), np.full(len(motion), self.other)
+        # Return the smallest clearance in motions without turns, in which the robot sweeps the convex hull of both
+        # its ends. With another robot, these are its ends relative to that robot.
+        start = _corners(self.robot, self.path[motion])
+        others = np.full(len(motion), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, self.other_path[motion])
         corners = np.concatenate([start, start + self.velocity[motion, None]], axis=1)
@@ -160,10 +163,17 @@ class _Encounter:
     def smallest(self) -> Float[np.ndarray, " motions"]:
         """Upper bound of the smallest clearance in each motion."""
         # If no motion collides, the minimum over all motions is accurate to `tolerance`.
-        at_rows, turns = self.clearances(np.arange(len(self.path), dtype=float)), self.rim_speeds > 0
-        smallest, straight = np.minimum(at_rows[:-1], at_rows[1:]), np.flatnonzero(~turns)
+        # 1. Motions without turns: exact, as the robot's swept area. Others: at first, the clearance at both ends.
+        at_rows = self.clearances(np.arange(len(self.path), dtype=float))
+        smallest = np.minimum(at_rows[:-1], at_rows[1:])
+        turns = self.rim_speeds > 0
+        straight = np.flatnonzero(~turns)
         smallest[straight] = self.swept(straight)
-        motion, begin, size = np.flatnonzero(turns), np.zeros(turns.sum()), 1.0
+        # 2. Halve intervals of the motions with turns. In an interval of length `size`, the clearance is at least
+        #    that in the middle minus max_rate * size / 2. So the bounds tighten until all intervals are dropped.
+        motion = np.flatnonzero(turns)
+        begin = np.zeros(len(motion))
+        size = 1.0
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
@@ -187,7 +197,10 @@ class _Encounter:
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
-        motion, begin, size = self.first_collision, np.zeros(1), 1.0
+        # Halve intervals as in `smallest`, but keep those that may collide, up to the first whose middle does.
+        motion = self.first_collision
+        begin = np.zeros(1)
+        size = 1.0
         while True:
             middle = self.clearances(motion + begin + size / 2)
             near = middle - self.max_rates[motion] * size / 2 < -self.tolerance
@@ -209,12 +222,16 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
-    """Pair each robot with all that is not free space, and with robots near enough to collide or to be closest."""
+    """Return the pairs whose clearance must be measured.
+
+    Each robot is paired with the blocked space. Two robots are paired if they may collide, or may have the smallest
+    clearance of the whole path.
+    """
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
     if len(path) == 1:
         path = np.repeat(path, 2, axis=0)
-    # The blocked region includes a margin beyond the bounds and the path.
+    # 1. Pair each robot with the blocked space. The blocked region includes a margin beyond the bounds and the path.
     lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
     hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
     blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
@@ -223,6 +240,8 @@ def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]
     for j, robot in enumerate(robots):
         depth = margin if robot.circumscribed_radius <= tolerance else tolerance
         encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, depth)
+    # 2. Pair robots, in the order of lower bounds of their clearances, until these exceed the smallest clearance so
+    #    far.
     smallest = min(encounter.clearance for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
         if least > max(smallest, 0.0) + tolerance:
@@ -241,8 +260,10 @@ def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, 
     radius = np.array([robot.circumscribed_radius for robot in robots])
     clearances = []
     for j in range(1, len(robots)):
+        # The offset of the reference points moves straight from `begin` by `change`: find its point nearest to 0.
         offset = path[:, :j, :2] - path[:, j, None, :2]
-        begin, change = offset[:-1], np.diff(offset, axis=0)
+        begin = offset[:-1]
+        change = np.diff(offset, axis=0)
         squared = (change**2).sum(axis=2)
         t = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
         nearest = begin + t[..., None] * change
@@ -299,29 +320,35 @@ def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin
     Thin walls and contacts part the free space within ``margin`` of a motion. The point is in the part nearest to its
     start. It may only change to parts that overlap this one where the next motion begins.
     """
+    # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
     points: Any = shapely.points(track)
-    contacts, crossings, part_before = workspace.boundary.contact_tree, [], None
+    contacts = workspace.boundary.contact_tree
     is_doubtful = ~shapely.covers(workspace.free_space, segments)
     is_doubtful[contacts.query(segments, predicate="dwithin", distance=margin)[0]] = True
-    # At both ends of its path, a point near a contact is on all sides. Between two doubtful motions, it may be inside
-    # a thin wall. Elsewhere, it is on the side of the nearest part.
+    # 2. In each row, find which parts the point may be in: in a *loose* row, all within the margin; else the nearest.
+    #    A point near a contact at an end of its path is on all sides. Between two doubtful motions, it may be inside
+    #    a thin wall.
     is_loose = np.pad(is_doubtful[:-1] & is_doubtful[1:], 1)
     at_contact = contacts.query(points[[0, -1]], predicate="dwithin", distance=margin)[0]
-    is_loose[-at_contact] = True
+    is_loose[-at_contact] = True  # index 0 of both points is row 0, index 1 is row -1
+    # 3. Follow the point from part to part.
+    crossings, part_before = [], None
     for k in np.flatnonzero(is_doubtful).tolist():
         parts = shapely.get_parts(shapely.intersection(workspace.free_space, shapely.buffer(segments[k], margin)))
         parts = parts[shapely.area(parts) > 0]
         group = part_groups(parts, workspace.squeeze)
-        away = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
-        most = [margin if is_loose[k + end] else away[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)]
+        distances = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
+        limits = [
+            margin if is_loose[k + end] else distances[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)
+        ]
         if part_before is None or not is_doubtful[k - 1]:
-            is_same_part = away[0] <= most[0]
+            is_reached = distances[0] <= limits[0]
         else:
-            is_same_part = shapely.area(shapely.intersection(parts, part_before)) > 0
-        is_same_part = np.isin(group, group[is_same_part]) & (away[1] <= margin)
-        part_before = shapely.union_all(parts[is_same_part])
-        if not (is_same_part & (away[1] <= most[1])).any():
+            is_reached = shapely.area(shapely.intersection(parts, part_before)) > 0
+        is_reached = np.isin(group, group[is_reached]) & (distances[1] <= margin)
+        part_before = shapely.union_all(parts[is_reached])
+        if not (is_reached & (distances[1] <= limits[1])).any():
             crossings.append(k)
     return crossings
 
@@ -336,7 +363,8 @@ def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | No
 
 
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
-    workspace, when, depth = problem.workspace, collision.first_moment, collision.depth
+    workspace = problem.workspace
+    when, depth = collision.first_moment, collision.depth
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()
     event = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
