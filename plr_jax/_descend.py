@@ -107,7 +107,7 @@ def descend(
     """
     require_function("distance_fn", distance_fn)
     if isinstance(space, Workspace) and cost_map is None:
-        vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
+        chains = _along_corners(distance_fn, space, starts, goal)
     else:
         space = PlaneSpace(space) if isinstance(space, Workspace) else space
         require_space(space)
@@ -115,9 +115,8 @@ def descend(
             raise ValueError(f"space must have classify and are_free to prove motions free, got {shortened(space)}.")
         if cost_map is not None and not isinstance(cost_map, CostMap):
             raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
-        vertices, counts, lengths, costs, is_free = by_lookahead(
-            distance_fn, PathCosts(space, cost_map), starts, goal
-        )
+        chains = by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
+    vertices, counts, lengths, costs, is_free = chains
     reached = counts > 0
     members = np.array([DescentStatus.REACHED, DescentStatus.STUCK, DescentStatus.START_NOT_FREE], dtype=object)
     status = members[np.where(reached, 0, np.where(is_free, 1, 2))]
@@ -140,10 +139,8 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     if not len(goals):
         raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
     if not (is_fine := workspace.is_free(goals)).all():
-        got = goals[is_fine.argmin()].tolist()
-        raise ValueError(
-            f"The goal must be in free space, got {got}: move it out of the obstacle or into the bounds."
-        )
+        got = f"{goals[is_fine.argmin()].tolist()}: move it out of the obstacle or into the bounds"
+        raise ValueError(f"The goal must be in free space, got {got}.")
     num_goals = len(goals)
     places = find_corners(workspace)[0]
     for point in goals:
@@ -198,10 +195,8 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     at_corners = find_turn_points(places, length, onward, num_goals)
     for turns, may_be_shorter in ((at_corners, num_goals > 1), (anywhere, False)):
         pending = np.flatnonzero((to_place < 0) | may_be_shorter)
-        begin = x[pending]
-        place, by_place = turns.first_visible(
-            begin, lambda point, place, begin=begin: workspace.is_visible(begin[point], points[place])
-        )
+        a = x[pending]
+        place, by_place = turns.first_visible(a, lambda i, place, a=a: workspace.is_visible(a[i], points[place]))
         to_place[pending] = np.where(by_place < least[pending], place, to_place[pending])
     first = np.full(len(starts), -1)
     first[is_free] = to_place

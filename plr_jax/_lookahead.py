@@ -25,11 +25,10 @@ from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds,
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Points: TypeAlias = Float[np.ndarray, "_ dim"]
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
+Counts: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 # Vertices, counts, lengths, costs, and whether starts are free.
-Chains: TypeAlias = tuple[
-    Float[np.ndarray, "n longest dim"], Int[np.ndarray, " n"], Numbers, Numbers, Bool[np.ndarray, " n"]
-]
+Chains: TypeAlias = tuple[Float[np.ndarray, "n longest dim"], Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
 
 
 def chains_of(
@@ -367,10 +366,8 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
     """Shift the nodes of paths, except ``first`` and the goal, so that the segments to their neighbors cost least."""
     # 1. Follow all paths to the last node before the goal. Each inner node is on one path only.
     nodes, motion_cost = nodes.copy(), costs.space.motion_cost
-    before = np.full(len(onward), -1)  # previous node on the path
-    index = np.zeros(len(onward), int)  # number of nodes before it on the path
-    node = first
-    count = 0
+    before, index = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, number of nodes before
+    node, count = first, 0
     while len(node):
         node = node[onward[node] > 0]
         count += 1

@@ -200,15 +200,12 @@ def _require_free(problem: Problem, name: str) -> None:
         inside, clearance, obstacle = _room(workspace, robot, q)
         if inside < -workspace.tolerance:
             is_in = workspace.bounds.contains(q[None, :2])[0]
-            part = "" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
-            raise ValueError(
-                f"Robot {i} {_VERBS[name]} outside the bounds{part or f' by {-inside:.3g} at {q.tolist()}'}."
-            )
+            place = f": {q.tolist()} is not in {workspace.bounds}"
+            place = f" by {-inside:.3g} at {q.tolist()}" if is_in else place
+            raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}.")
         if clearance < -workspace.tolerance:
-            raise ValueError(
-                f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} at {q.tolist()} "
-                f"(clearance {clearance:.3g})."
-            )
+            place = f"at {q.tolist()} (clearance {clearance:.3g})"
+            raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}.")
 
 
 def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
@@ -234,10 +231,8 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
     for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
         clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
         if clearance < -problem.workspace.tolerance:
-            raise ValueError(
-                f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
-                f"{configurations[j].tolist()} (clearance {clearance:.3g})."
-            )
+            pair = f"{configurations[i].tolist()} and {configurations[j].tolist()}"
+            raise ValueError(f"Robots {i} and {j} overlap at their {name}: {pair} (clearance {clearance:.3g}).")
 
 
 def _require_connected(problem: Problem) -> None:
@@ -254,10 +249,9 @@ def _require_connected(problem: Problem) -> None:
         first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
         if not np.isin(first, last).any():
             body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"
-            raise ValueError(
-                f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
-                f"{problem.starts[i].tolist()}: obstacles leave no path for {body} between them."
-            )
+            reason = f"obstacles leave no path for {body} between them"
+            start, goal = problem.starts[i].tolist(), problem.goals[i].tolist()
+            raise ValueError(f"Robot {i} has its goal {goal} cut off from its start {start}: {reason}.")
 
 
 def separation(a: Any, b: Any) -> float:

@@ -338,17 +338,15 @@ def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin
         parts = shapely.get_parts(shapely.intersection(workspace.free_space, shapely.buffer(segments[k], margin)))
         parts = parts[shapely.area(parts) > 0]
         group = part_groups(parts, workspace.squeeze)
-        distances = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
-        limits = [
-            margin if is_loose[k + end] else distances[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)
-        ]
+        gaps = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
+        most = [margin if is_loose[k + end] else gaps[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)]
         if part_before is None or not is_doubtful[k - 1]:
-            is_reached = distances[0] <= limits[0]
+            is_reached = gaps[0] <= most[0]
         else:
             is_reached = shapely.area(shapely.intersection(parts, part_before)) > 0
-        is_reached = np.isin(group, group[is_reached]) & (distances[1] <= margin)
+        is_reached = np.isin(group, group[is_reached]) & (gaps[1] <= margin)
         part_before = shapely.union_all(parts[is_reached])
-        if not (is_reached & (distances[1] <= limits[1])).any():
+        if not (is_reached & (gaps[1] <= most[1])).any():
             crossings.append(k)
     return crossings
 

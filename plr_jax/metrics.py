@@ -72,10 +72,10 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     reachable, answered = np.isfinite(distance), np.isfinite(answer)
     is_compared = reachable & answered
     if not is_compared.any():
-        raise ValueError(
-            f"No error is defined: of {len(x)} points, the distance function is finite at {reachable.sum()}, "
-            "and the approximation is finite at none of these."
+        finite = (
+            f"the distance function is finite at {reachable.sum()}, and the approximation is finite at none of these"
         )
+        raise ValueError(f"No error is defined: of {len(x)} points, {finite}.")
     error = np.abs(answer[is_compared] - distance[is_compared])
     worst = int(np.argmax(error))
     return ErrorReport(

@@ -252,9 +252,8 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
         u, v = c * x + s * y, c * y - s * x
         ends += [u, v]
         beside, above = np.abs(u) - a.size[0], np.abs(v) - a.size[1]
-        distances.append(  # signed distance to the box, negative inside
-            np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
-        )
+        outside = np.hypot(np.maximum(beside, 0), np.maximum(above, 0))
+        distances.append(outside + np.minimum(np.maximum(beside, above), 0))  # from the box, negative inside
     bulge, _ = rotation_bounds(a, b, *b.size)  # the point's radius is 0
     nearer = np.minimum(*distances)
     clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge

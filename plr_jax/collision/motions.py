@@ -16,14 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import require_time
 from plr_jax._types import JointConfigurations
-from plr_jax.collision.bodies import (
-    Column,
-    bisect,
-    box_point_separation,
-    box_separation,
-    convex_separation,
-    moving_bodies,
-)
+from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -42,9 +35,9 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 class Circles(NamedTuple):
     """Circles in the plane, one for each entry of the arrays."""
 
-    x: Column
-    y: Column
-    radius: Column
+    x: Float[np.ndarray, " n"]
+    y: Float[np.ndarray, " n"]
+    radius: Float[np.ndarray, " n"]
 
 
 class TeamTrajectory:

@@ -147,9 +147,8 @@ class BestFirstSearch:
             if limit := self.budget.exceeded():
                 return limit
             left = self.budget.max_expansions - self.budget.num_expansions
-            batch = [
-                heapq.heappop(self.frontier)[2] for _ in range(int(min(self.batch_size, len(self.frontier), left)))
-            ]
+            size = int(min(self.batch_size, len(self.frontier), left))
+            batch = [heapq.heappop(self.frontier)[2] for _ in range(size)]
             nearest, before = self.least_estimate, self.num_expansions
             self._expand(batch)
             for node in batch:
@@ -209,11 +208,9 @@ class BestFirstSearch:
                 # 5. Store the successors of each node.
                 last = np.cumsum(num_kept)
                 for i, node in enumerate(part):
-                    entries = slice(last[i] - num_kept[i], last[i])
-                    num_bytes = sum(column[entries].nbytes for column in (score, cost, state))
-                    self.successors[node] = SuccessorList(
-                        score[entries], cost[entries], state[entries], width, bool(is_complete[i]), num_bytes
-                    )
+                    columns = [column[last[i] - num_kept[i] : last[i]] for column in (score, cost, state)]
+                    num_bytes = sum(column.nbytes for column in columns)
+                    self.successors[node] = SuccessorList(*columns, width, bool(is_complete[i]), num_bytes)
                     self.memory_use.add(num_bytes)
                 self.num_expansions += len(part)
                 self.budget.num_expansions += len(part)

@@ -82,9 +82,8 @@ class TeamMoves:
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
                 kind = self.kinds[a]
                 away = position[j] - position[i]
-                misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
-                    axis=2, where=free[a][..., None], initial=0
-                )
+                misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset)
+                misalignment = misalignment.max(axis=2, where=free[a][..., None], initial=0)
                 aligned = (misalignment < _ALIGNED * self.tolerance).all(axis=1)
                 cells = np.rint(away / kind.side)
                 on_grid = (np.abs(away - cells * kind.side) < _ALIGNED * self.tolerance).all(axis=1)
@@ -115,11 +114,9 @@ class TeamMoves:
         if new := list({*keys, *back} - known_bits.keys()):
             begin = (np.array(new) * kind.side)[:, None, None]
             motions = np.zeros_like(begin), kind.offset[:, None]
-            motions_of_other = begin, begin + kind.offset
+            others = begin, begin + kind.offset
             # Misalignments add up to at most 3/16 of the tolerance along each axis: half of it covers them.
-            collide = ~motions_apart(
-                kind.robot, *motions, kind.robot, *motions_of_other, self.tolerance / 2, self.deadline
-            )
+            collide = ~motions_apart(kind.robot, *motions, kind.robot, *others, self.tolerance / 2, self.deadline)
             known_bits.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
         # 2. Look up all pairs.
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):

@@ -39,7 +39,7 @@ _WIDEST_TURN = np.pi / 4  # widest cell along the heading, in radians
 _ROUNDING = 1e-9  # share of a cell by which a width may exceed whole cells
 _MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
 _CHUNK = 1 << 12  # cells at a time, between two checks of the clock
-Cells: TypeAlias = Int[np.ndarray, " n"]
+Ends: TypeAlias = Float[np.ndarray, " n #primitives dof"]  # ends of motions
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: for each robot, a node of its lattice
@@ -88,9 +88,8 @@ class Kind:
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_terminals, dummy, strict=True))
         # 2. The dummy edge has the index `num_edges`. `terminal_edges` has an array of edges for each robot.
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
-        self.terminal_edges = np.split(
-            np.arange(self.num_shared, self.num_edges), np.searchsorted(enters[0], np.arange(1, len(self.members)))
-        )
+        first = np.searchsorted(enters[0], np.arange(1, len(self.members)))  # of each robot but the first one
+        self.terminal_edges = np.split(np.arange(self.num_shared, self.num_edges), first)
         x, y = (self.q[self.end] - self.q[self.begin])[:, :2].T
         # The farthest that a motion takes the body from the motion's begin.
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
@@ -333,7 +332,7 @@ class CellGrid(NamedTuple):
         terminals = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
         return Kind(robot, members, q, child, cost, self.side, offsets * self.side, terminals)
 
-    def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
+    def neighbors(self, cells: Int[np.ndarray, " n"], offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
         """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
@@ -342,11 +341,7 @@ class CellGrid(NamedTuple):
         return cell, exists & self.free[cell] & (cell != cells[:, None])
 
     def costs(
-        self,
-        possible: Bool[np.ndarray, "n primitives"],
-        begin: Float[np.ndarray, " n #primitives dof"],
-        end: Float[np.ndarray, " n #primitives dof"],
-        deadline: float = math.inf,
+        self, possible: Bool[np.ndarray, "n primitives"], begin: Ends, end: Ends, deadline: float = math.inf
     ) -> Float[np.ndarray, "n primitives"]:
         """Return the costs of straight motions, ``inf`` for motions that are not ``possible`` or hit an obstacle."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))

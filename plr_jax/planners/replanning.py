@@ -110,9 +110,8 @@ def replan(
     rest = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
     # 3. Replan robots whose motions no longer lead to their goals.
     step = options.step or first_step(problem)
-    timetable = Timetable(
-        problem, subdivided(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit
-    )
+    path = subdivided(problem, rest, step / ROWS_PER_STEP)
+    timetable = Timetable(problem, path, deadline=began + options.time_limit)
     try:
         status = Status.SOLVED if _replan(problem, timetable, step, fixed) else Status.EXHAUSTED
     except TimeoutError:

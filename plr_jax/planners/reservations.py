@@ -40,9 +40,8 @@ class ReservationTable:
         self._costs_to_come: dict[int, np.ndarray] = {}
         self._colliding_edges: defaultdict[tuple[int, int], dict[int, Edges]] = defaultdict(dict)  # by pair of kinds
         self._chunk = defaultdict(lambda: 1)  # by pair of kinds: edges tested at a time, adapted to their neighbors
-        self.kind_and_row = {
-            int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
-        }
+        members = [kind.members.tolist() for kind in self.kinds]
+        self.kind_and_row = {i: (k, row) for k, robots in enumerate(members) for row, i in enumerate(robots)}
         # Counts of robots by step and edge, for each kind. -1 is added to undo reservations, so the type is signed;
         # it has room for twice as many robots.
         count_type = np.min_scalar_type(-2 * state.shape[1])
@@ -95,11 +94,8 @@ class ReservationTable:
             self._chunk[a, b] = int(np.clip(_PAIRS * len(part) // max(1, len(row)), 1, _CHUNK))
             # 2. Test these pairs, and cache the colliding edges of each edge.
             motions = others.q[others.begin[edge]], others.q[others.end[edge]]
-            apart = motions_apart(
-                *(ours.robot, begin[row], end[row], others.robot, *motions),
-                self.joint.problem.workspace.tolerance,
-                self.budget.deadline,
-            )
+            pairs = ours.robot, begin[row], end[row], others.robot, *motions
+            apart = motions_apart(*pairs, self.joint.problem.workspace.tolerance, self.budget.deadline)
             row, edge = row[~apart], edge[~apart].astype(np.int32)
             groups = [group.copy() for group in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
             colliding.update(zip(part.tolist(), groups, strict=True))

@@ -28,7 +28,6 @@ Rows = Int[np.ndarray, "m"]
 Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
-Configuration = Float[np.ndarray, "dof"]
 JointPath = Float[np.ndarray, "rows robots dof"]
 
 
@@ -85,7 +84,7 @@ class Timetable:
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, " rows"]:
+    def next_free_rows(self, i: int, q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " rows"]:
         """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
         # The result is inf if there is no such row. Robots at rest block `q` for `patience` rows after the last row.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
@@ -100,9 +99,8 @@ class Timetable:
         # The pieces of motions, one time step each, that meet a robot, and this robot. A robot at rest blocks others
         # for `patience` rows.
         first_row = np.minimum(row, self._last)
-        piece, j = self._trajectory.robots_near(
-            i, circles(first[:, None], last[:, None]), first_row, list(self.ignored)
-        )
+        around = circles(first[:, None], last[:, None])
+        piece, j = self._trajectory.robots_near(i, around, first_row, list(self.ignored))
         is_present = row[piece] < self.ends[j] + self.patience
         piece, j = piece[is_present], j[is_present]
         meet = self.test.meet(i, first[piece], last[piece], self._trajectory, first_row[piece], j)
