@@ -160,8 +160,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     # 2. Join each corner to its best places by the field. Join corners without a path to all places that they see.
     edges = _edges(workspace, places, field, np.arange(num_goals, len(points)), _NUM_WAYS)
     length, onward = shortest(edges)
-    lost = np.flatnonzero(~np.isfinite(length))
-    if lost.size:
+    if len(lost := np.flatnonzero(~np.isfinite(length))):
         everything = _edges(workspace, places, np.zeros(len(points)), lost, len(points))
         edges = _unique_pairs(np.concatenate([edges, everything]))
         length, onward = shortest(edges)

@@ -204,8 +204,7 @@ class _Lookahead:
     def values(self, x: Points) -> Float[np.ndarray, " n"]:
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
-        if inside.any():
-            num = int(np.count_nonzero(inside))
+        if num := int(np.count_nonzero(inside)):
             batch = padded(x[inside], padded_size(num), x[inside][-1])
             values[inside] = as_distances("The field", self.field(batch), batch)[:num]
         return np.maximum(values, 0.0)
@@ -216,16 +215,14 @@ class _Lookahead:
         # Indices of nodes: 0 is the goal. In each round, the nodes x begin at `num`, then inner nodes of detours at
         # `inner`; the nodes x of the next round follow.
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
-        x = starts
-        value = self.values(starts)
+        x, value = starts, self.values(starts)
         num = 1
         while len(x):
             # 1. Take the best step from each node, or search for a detour out of a local minimum.
             y, status = self._step(x, value)
             detours = {}  # for stuck paths, the nodes that lead out of the local minimum
             for row in np.flatnonzero(status < 0).tolist():
-                chain = self._escape(x[row], value[row] - _FALL * self.shortest)
-                if chain is not None:
+                if (chain := self._escape(x[row], value[row] - _FALL * self.shortest)) is not None:
                     y[row], status[row] = chain[-1], 0
                     if len(chain) > 1:
                         detours[row] = chain[:-1]
@@ -242,8 +239,7 @@ class _Lookahead:
                 onward.append(np.append(inner + np.arange(1, len(detour)), next_[row]))
                 next_[row] = inner
                 inner += len(detour)
-            x = y[goes_on]
-            value = self.values(x)
+            x, value = y[goes_on], self.values(y[goes_on])
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, " n"]) -> tuple[Points, Int[np.ndarray, " n"]]:
@@ -358,8 +354,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         straight = costs.integrals(nodes[rows], nodes[ahead[rows]], _STEP_TOLERANCE)
         legs = leg[rows], leg[onward[rows]]
         better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # a segment of no cost
-        onward[rows[better]] = ahead[rows[better]]
-        leg[rows[better]] = straight[better]
+        onward[rows[better]], leg[rows[better]] = ahead[rows[better]], straight[better]
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, " paths"]) -> Points:

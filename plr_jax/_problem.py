@@ -186,8 +186,7 @@ def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.n
         elif configurations.shape == (len(robots), 3):
             reason = ": no robot can turn, so each row is (x, y)"
         raise ValueError(f"{name} must have shape {shape}, got {configurations.shape}{reason}.")
-    broken = np.flatnonzero(~np.isfinite(configurations).all(axis=1))
-    if broken.size:
+    if len(broken := np.flatnonzero(~np.isfinite(configurations).all(axis=1))):
         raise ValueError(f"{name} must be finite, got {configurations[broken[0]]} for robot {broken[0]}.")
     configurations.flags.writeable = False
     return configurations
@@ -229,8 +228,7 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
     a, b = a[a < b], b[a < b]
     close = shapely.distance(cores[a], cores[b]) <= rounding[a] + rounding[b]
     for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
-        clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
-        if clearance < -problem.workspace.tolerance:
+        if (clearance := separation(cores[i], cores[j]) - rounding[i] - rounding[j]) < -problem.workspace.tolerance:
             pair = f"{configurations[i].tolist()} and {configurations[j].tolist()}"
             raise ValueError(f"Robots {i} and {j} overlap at their {name}: {pair} (clearance {clearance:.3g}).")
 
@@ -256,8 +254,7 @@ def _require_connected(problem: Problem) -> None:
 
 def separation(a: Any, b: Any) -> float:
     """Return the distance between Shapely geometries; if they overlap, minus a depth (approximate for areas)."""
-    distance = shapely.distance(a, b)
-    if distance > 0 or a.geom_type == b.geom_type == "Point":
+    if (distance := shapely.distance(a, b)) > 0 or a.geom_type == b.geom_type == "Point":
         return distance
     if "Point" in (a.geom_type, b.geom_type):
         point, shape = (a, b) if a.geom_type == "Point" else (b, a)

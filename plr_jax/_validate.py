@@ -71,22 +71,18 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         path = as_path(problem, path)
     except ValueError as error:
         return ValidationReport(False, np.nan, np.nan, str(error))
-    broken = np.argwhere(~np.isfinite(path).all(axis=2))
-    if len(broken):
+    if len(broken := np.argwhere(~np.isfinite(path).all(axis=2))):
         step, i = map(int, broken[0])
         message = f"Robot {i} has a configuration that is not finite at step {step}."
         return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
     cost, encounters = path_cost(problem, path), _encounters(problem, path, margin)
-    colliding = [encounter for encounter in encounters if encounter.clearance < -encounter.tolerance]
-    if colliding:
+    if colliding := [encounter for encounter in encounters if encounter.smallest.min() < -encounter.tolerance]:
         return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
-    closest = min(encounters, key=lambda encounter: encounter.clearance)
-    clearance = closest.clearance
-    fault = _find_crossing(problem, path, margin) or _find_wrong_end(problem, path)
-    if fault:
+    closest = min(encounters, key=lambda encounter: encounter.smallest.min())
+    clearance = float(closest.smallest.min())
+    if fault := _find_crossing(problem, path, margin) or _find_wrong_end(problem, path):
         i, when, message = fault
-        where = tuple(path[int(when), i, :2].tolist())
-        return ValidationReport(False, cost, clearance, message, (i,), when, where)
+        return ValidationReport(False, cost, clearance, message, (i,), when, tuple(path[int(when), i, :2].tolist()))
     who, step = closest.who, closest.smallest.argmin()
     pair = f" {who[0]} to an obstacle or the bounds" if len(who) == 1 else f"s {who[0]} and {who[1]}"
     message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
@@ -171,8 +167,7 @@ class _Encounter:
         smallest[straight] = self.swept(straight)
         # 2. Halve intervals of the motions with turns. In an interval of length `size`, the clearance is at least
         #    that in the middle minus max_rate * size / 2. So the bounds tighten until all intervals are dropped.
-        motion = np.flatnonzero(turns)
-        begin = np.zeros(len(motion))
+        motion, begin = np.flatnonzero(turns), np.zeros(turns.sum())
         size = 1.0
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
@@ -187,10 +182,6 @@ class _Encounter:
         return smallest
 
     @property
-    def clearance(self) -> float:
-        return float(self.smallest.min())
-
-    @property
     def first_collision(self) -> int:  # index of the first motion that collides
         return int((self.smallest < -self.tolerance).argmax())
 
@@ -198,8 +189,7 @@ class _Encounter:
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
         # Halve intervals as in `smallest`, but keep those that may collide, up to the first whose middle does.
-        motion = self.first_collision
-        begin = np.zeros(1)
+        motion, begin = self.first_collision, np.zeros(1)
         size = 1.0
         while True:
             middle = self.clearances(motion + begin + size / 2)
@@ -213,12 +203,6 @@ class _Encounter:
             size /= 2
             begin = np.repeat(begin, 2)
             begin[1::2] += size
-
-    @property
-    def depth(self) -> float:
-        """Smallest clearance at some moments of the first motion that collides: about minus the overlap."""
-        times = np.append(self.first_collision + np.linspace(0.0, 1.0, 65), self.first_moment)
-        return min(float(self.clearances(times).min()), -self.tolerance)
 
 
 def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
@@ -242,12 +226,12 @@ def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]
         encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, depth)
     # 2. Pair robots, in the order of lower bounds of their clearances, until these exceed the smallest clearance so
     #    far.
-    smallest = min(encounter.clearance for encounter in encounters.values())
+    smallest = min(encounter.smallest.min() for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
         if least > max(smallest, 0.0) + tolerance:
             break
         encounters[j, i] = _Encounter((i, j), robots[i], path[:, i], robots[j], path[:, j], tolerance)
-        smallest = min(smallest, encounters[j, i].clearance)
+        smallest = min(smallest, encounters[j, i].smallest.min())
     return [encounters[who] for who in sorted(encounters)]
 
 
@@ -262,8 +246,7 @@ def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, 
     for j in range(1, len(robots)):
         # The offset of the reference points moves straight from `begin` by `change`: find its point nearest to 0.
         offset = path[:, :j, :2] - path[:, j, None, :2]
-        begin = offset[:-1]
-        change = np.diff(offset, axis=0)
+        begin, change = offset[:-1], np.diff(offset, axis=0)
         squared = (change**2).sum(axis=2)
         t = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
         nearest = begin + t[..., None] * change
@@ -303,10 +286,9 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
     """Find the first passage of a point robot through a wall or a contact; return robot, time and message."""
-    workspace, crossings = problem.workspace, []
-    for i, robot in enumerate(problem.robots):
-        if robot.circumscribed_radius <= _tolerance(workspace):
-            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
+    most = _tolerance(problem.workspace)
+    points = [i for i, robot in enumerate(problem.robots) if robot.circumscribed_radius <= most]
+    crossings = [(when, i) for i in points for when in _crossings(problem.workspace, path[:, i, :2], margin)[:1]]
     if not crossings:
         return None
     when, i = min(crossings)
@@ -362,7 +344,10 @@ def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | No
 
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
     workspace = problem.workspace
-    when, depth = collision.first_moment, collision.depth
+    when = collision.first_moment
+    # The smallest clearance at some moments of the first motion that collides: about minus the overlap.
+    times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
+    depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()
     event = f"Robots {collision.who[0]} and {collision.who[-1]} collide"

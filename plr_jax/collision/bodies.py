@@ -100,8 +100,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
     # which turns by turn_b - turn_a against the axis, radius_b * (turn_b - turn_a)**2. The extent of a is constant.
     # Here `far` is the largest distance of the reference points, and `speed` that of their relative motion.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
-    far = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy))
-    speed = np.hypot(dx, dy)
+    far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
     turns = (a.turn, radius_b), (b.turn, radius_a)
     of_a, of_b = ((far * turn**2 + 2 * speed * np.abs(turn) + radius * relative) / 8 for turn, radius in turns)
@@ -195,8 +194,7 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
     """Return the gap between two bodies along a fixed direction, at the end of the motion where it is smaller."""
-    gaps = [(nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends]
-    return np.minimum(*gaps)
+    return np.minimum(*((nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends))
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
@@ -265,15 +263,13 @@ def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at
     # ``at_a`` and ``at_b`` are cosine and sine of the headings. An axis at the angle t from the length of a box meets
     # the half extent length * |cos t| + width * |sin t| (half sides); c and s are these factors between the boxes.
     (ca, sa), (cb, sb) = at_a, at_b
-    (length_a, width_a), (length_b, width_b) = a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)
-    return [
-        (ca * x + sa * y, length_a + length_b * c + width_b * s),
-        (ca * y - sa * x, width_a + length_b * s + width_b * c),
-        (cb * x + sb * y, length_b + length_a * c + width_a * s),
-        (cb * y - sb * x, width_b + length_a * s + width_a * c),
-    ]
+    axes = []
+    for (cos, sin), (length, width), (other_length, other_width) in ((at_a, a.size, b.size), (at_b, b.size, a.size)):
+        axes.append((cos * x + sin * y, length + other_length * c + other_width * s))
+        axes.append((cos * y - sin * x, width + other_length * s + other_width * c))
+    return axes
 
 
 def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Column:

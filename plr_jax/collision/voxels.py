@@ -16,7 +16,6 @@ _SHORT = 0.5  # pieces of motions up to this share of a voxel are tested against
 _NEARLY = 1 + 2.0**-49  # ratio of computed times within which rounding may have changed their order
 _LEAST_TIME = 1e-300  # absolute slack for times that may have lost digits by underflow
 Booleans = Bool[np.ndarray, "n"]
-Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
@@ -33,8 +32,7 @@ def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: fl
     #      . - - +-----+ - - .
     #      . ?   |     |   ? .
     #      . . . . . . . . . .
-    first, last = _touching(grid, lo, hi)
-    far_first, far_last = _touching(grid, lo - radius, hi + radius)
+    (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
     is_doubtful = within.copy()
     for axis in range(grid.dim):
@@ -54,7 +52,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
-) -> Iterator[tuple[Which, Numbers, Numbers]]:
+) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers, Numbers]]:
     """Yield rows of voxels along the last axis within ``radius`` of boxes: index of the box, first and last voxel."""
     # A voxel is within the radius r of a box if its gaps from the box along the axes have a sum of squares below r^2.
     # The gaps along all axes but the last depend on the row alone. They leave a reach along the last axis.
@@ -122,7 +120,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
-) -> Iterator[tuple[Which, Numbers]]:
+) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers]]:
     """Yield pairs of a box and a blocked voxel within ``radius`` of it: indices of boxes, and numbers of voxels."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         row = np.flatnonzero(grid.num_blocked(begin, end))
@@ -149,8 +147,7 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
         return np.maximum(x - hi, 0.0) - np.maximum(lo - x, 0.0)
 
     # 1. Compute the slope at both ends of the motion, and at the times at which an axis crosses a face.
-    moves = change != 0
-    crossing = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
+    crossing = [np.divide(face - q0, change, out=np.zeros_like(q0), where=change != 0) for face in (lo, hi)]
     times = np.sort(np.clip([np.zeros(q0.shape[1]), *crossing[0], *crossing[1], np.ones(q0.shape[1])], 0, 1), axis=0)
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
     # 2. Find the zero: it lies between the last time at which the slope is negative and the next time.
@@ -198,8 +195,7 @@ class _Traversal:
     def passes(self) -> Booleans:
         """Return whether each motion passes: whether it reaches its end with a voxel left in which it can be."""
         # 1. A motion passes if no voxel is blocked in its bounding box.
-        lowest = np.minimum(self.at, self.last)
-        highest = np.maximum(self.at, self.last) + self.layers
+        lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         # 2. Follow the other motions from face to face. `live`: the voxels around that each can be in.
         rows = np.flatnonzero(~passes)
@@ -247,8 +243,8 @@ class _Traversal:
     def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
         """Return across which axes each motion leaves its current voxels next, and the next face along each axis."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
-        further = at + (self.step[:, rows] > 0)
-        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
+        ahead = at + (self.step[:, rows] > 0)
+        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, ahead, strict=True)])
         time = np.full(face.shape, np.inf)
         np.divide(face - q0, self.q1[:, rows] - q0, out=time, where=at != self.last[:, rows])
         return time <= _NEARLY * time.min(axis=0) + _LEAST_TIME, face

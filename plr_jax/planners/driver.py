@@ -63,12 +63,10 @@ _SEQUENTIAL = "sequential"
 _FEW_LATTICES = 3  # lattices that are tried for a cheaper path than the sequential one
 _SEQUENTIAL_ROWS = 100  # rows into which the sequential path is divided before it is shortened
 _MAX_REPORTED_BYTES = 1 << 60
-_DEFAULT_OPTIONS = BLOptions()
+_DEFAULTS = BLOptions()
 
 
-def bl_plan(
-    problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
-) -> Solution:
+def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULTS) -> Solution:
     """Plan collision-free paths for all robots of a problem, from their starts to their goals.
 
     The common call is ``solution = bl_plan(problem)``. Then ``solution.path`` is an array ``(steps, robots, dof)`` or
@@ -154,8 +152,7 @@ class Run:
 
     def record(self, path: JointPath, found_by: str, motions_factor: float) -> None:
         """Keep a path if it is the cheapest so far; ``motions_factor`` is its cost over the robots' least costs."""
-        seconds = time.perf_counter() - self.began
-        cost = path_cost(self.problem, path)
+        seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
             self.history.append((seconds, cost))
@@ -482,8 +479,7 @@ def first_step(
     ``may_be_packed``, robots that fill most of the free area get cells as wide as the widest robot.
     """
     # 1. Cells about as large as the smallest robot give it room to pass. Points have size 0.
-    extent = float(problem.workspace.bounds.width.max())
-    area = problem.workspace.free_space.area
+    extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
     size = min(size or _POINT_STEP * extent for size in sizes)
     # 2. A crowd needs larger cells, as gaps narrower than a step stay closed.

@@ -120,8 +120,7 @@ class TeamMoves:
             known_bits.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
         # 2. Look up all pairs.
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
-            ours = known_bits[key]
-            if ours:
+            if ours := known_bits[key]:
                 neighbors[robot].append((other, ours))
                 neighbors[other].append((robot, known_bits[key_back]))
 
@@ -279,8 +278,7 @@ class LaCAM:
                     node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
                     self.memory_use.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
                 # 3. Let PIBT choose the motions of all other robots.
-                primitives = PIBT(moves).find(node.order, constraints)
-                if primitives is not None:
+                if (primitives := PIBT(moves).find(node.order, constraints)) is not None:
                     self.budget.num_children_valid += 1
                     self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
                 if progress is not None:
@@ -304,8 +302,7 @@ class LaCAM:
     def _add(self, state: JointNode, parent: Node | None) -> None:
         """Put a joint state's node on the stack; a new node gets the order in which its robots choose motions."""
         key = state.astype(np.int32).tobytes()
-        node = self.nodes.get(key)
-        if node is None:
+        if (node := self.nodes.get(key)) is None:
             arrived: Bool[np.ndarray, " robots"] = state == self.goal
             before = self.rest_priority if parent is None else parent.priority + 1
             priority = np.where(arrived, self.rest_priority, before)
@@ -315,8 +312,7 @@ class LaCAM:
             self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.goal_node = node
-            estimate = float(self.moves.estimates(state).sum())
-            if estimate < (1 - _ROUNDING) * self.least_estimate:
+            if (estimate := float(self.moves.estimates(state).sum())) < (1 - _ROUNDING) * self.least_estimate:
                 self.least_estimate = estimate
                 self.num_idle = 0
         self.open.append(node)

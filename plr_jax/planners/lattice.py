@@ -154,9 +154,8 @@ class Kind:
         # Search along reversed edges, from an extra node per goal. Only the motions into the goal leave it. (If they
         # left the goal's own node, other robots' paths could pass it.) Paths may pass the representative of the
         # start's cell.
-        num_nodes = len(self.q)
+        num_nodes, searches = len(self.q), np.arange(len(rows))
         goals = self.terminals.node[rows, 1]
-        searches = np.arange(len(rows))
         shared = self._cheapest_shared_edges
         terminal_edges = np.concatenate([self.terminal_edges[row] for row in rows])
         search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])  # of each terminal edge
@@ -273,9 +272,8 @@ class CellGrid(NamedTuple):
         poses = np.concatenate([starts, goals])
         # The cells of the terminals; outside the grid, the nearest cells.
         index = np.floor((poses - self.lo) / self.side).astype(np.intp)
-        size = np.array(self.shape)
-        index[:, 2:] %= size[2:]
-        cells = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
+        modes = ("clip", "clip", "wrap")[: len(self.shape)]
+        cells = np.asarray(np.ravel_multi_index(tuple(index.T), self.shape, mode=modes))
         differ = straight_costs(starts, goals, 1.0) > 0
         # 1. A start or goal represents its cell if nothing else does. Test all motions from and to this cell. Change
         #    copies of the arrays, since the grid may be cached.
@@ -298,8 +296,7 @@ class CellGrid(NamedTuple):
             )
         # 3. Build the table: a row per representative, then a row per terminal. `nodes[cell]` is the node of a cell.
         free, offsets = motions.free, motions.offsets
-        nodes = np.cumsum(free) - 1
-        terminal_nodes = int(free.sum()) + np.arange(len(poses))
+        nodes, terminal_nodes = np.cumsum(free) - 1, int(free.sum()) + np.arange(len(poses))
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
         target, leads = motions.neighbors(cells, offsets)
         cost = motions.costs(leads, poses[:, None], motions.q[target])
@@ -404,8 +401,7 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
     if robot.dof == 3:
         turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)
         per_quarter = int(np.ceil(np.pi / 2 / turn - _ROUNDING))  # cells per quarter of a full turn
-        shape = np.append(shape, 4 * per_quarter)
-        side = np.append(side, np.pi / 2 / per_quarter)
+        shape, side = np.append(shape, 4 * per_quarter), np.append(side, np.pi / 2 / per_quarter)
         lo = np.append(lo, -side[2] / 2)
     test = motion_test(workspace, robot, deadline)
     axes = [first + (np.arange(n) + 0.5) * width for first, n, width in zip(lo, shape, side, strict=True)]
@@ -438,8 +434,7 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
         score = np.full(len(samples), -np.inf)
         score[is_sample_free] = workspace.clearance(samples[is_sample_free, :2])
         best = np.arange(len(blocked)) * len(pattern) + score.reshape(-1, len(pattern)).argmax(axis=1)
-        representatives[blocked] = samples[best]
-        is_free[blocked] = is_sample_free[best]
+        representatives[blocked], is_free[blocked] = samples[best], is_sample_free[best]
         motions.free[cells] = is_free
     # 3. Test the motions between representatives.
     for cells in chunks:

@@ -28,7 +28,7 @@ from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Time
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
 Planner: TypeAlias = Callable[[Problem], Solution]
-_DEFAULT_OPTIONS = BLOptions()
+_DEFAULTS = BLOptions()
 _ROUNDING = 1e-9
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
 # For `replan`:
@@ -45,7 +45,7 @@ def replan(
     problem: Problem,
     solution: Solution,
     at: float | int,
-    options: BLOptions = _DEFAULT_OPTIONS,
+    options: BLOptions = _DEFAULTS,
     standing: Sequence[int] = (),
 ) -> Solution:
     """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
@@ -207,7 +207,7 @@ def lifelong(
     problem: Problem,
     next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
     num_goals: int,
-    options: BLOptions = _DEFAULT_OPTIONS,
+    options: BLOptions = _DEFAULTS,
     plan: Planner | None = None,
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
@@ -304,20 +304,18 @@ class _LifelongTeam:
 
     def assign(self, i: int, goal: ArrayLike) -> None:
         expected = f"numbers of shape ({self.problem.dof},)"
-        shape = as_numbers(f"The next goal of robot {i}", goal, expected).shape
-        if shape != (self.problem.dof,):
+        if (shape := as_numbers(f"The next goal of robot {i}", goal, expected).shape) != (self.problem.dof,):
             raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {shape}.")
         robot = self.problem.robots[i]
-        pose = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]  # without the heading if it has none
-        self.requested_goals[i, : robot.dof] = pose
+        # Without the heading if the robot has none.
+        self.requested_goals[i, : robot.dof] = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]
         self._since[i] = self._num_rows
         self._due, self._num_idle = math.inf, 0
 
     def replan(self) -> Status:
         """Plan for the requested goals, as far as they are possible, from the team's present places on."""
         began = time.process_time()
-        goals = self._possible_goals()
-        if (goals != self.problem.goals).any():
+        if ((goals := self._possible_goals()) != self.problem.goals).any():
             self.problem = self._current_problem(goals)
         try:
             status = self.plan_from_nothing() if self.plan else self._replan_waiting()
@@ -345,8 +343,7 @@ class _LifelongTeam:
         # since previous goals never overlap, and a goal that went back stays.
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
-        goals = self.requested_goals.copy()
-        before = self.problem.goals
+        goals, before = self.requested_goals.copy(), self.problem.goals
         new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         while new:
             i = new.pop()

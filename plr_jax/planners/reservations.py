@@ -55,8 +55,7 @@ class ReservationTable:
             first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
             self._near.append((KDTree(kind.q[:, :2]), order, first))
         self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs  # of robots in the team, and alone
-        for i, (k, _) in self.kind_and_row.items():
-            kind = self.kinds[k]
+        for i, kind in enumerate(lattice.kind for lattice in joint.lattices):
             self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
         try:
             for i in self.kind_and_row:
@@ -142,8 +141,7 @@ class ReservationTable:
 
 
 def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
-    num_edges = sum(kind.num_edges for kind in joint.kinds)
-    num_nodes = max(len(kind.q) for kind in joint.kinds)
+    num_edges, num_nodes = sum(kind.num_edges for kind in joint.kinds), max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
@@ -173,8 +171,7 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
     reserved = []
     try:
         for index, i in enumerate(robots):
-            spent = table.cost[robots[:index]].sum()
-            needed = table.least_costs[robots[index + 1 :]].sum()
+            spent, needed = table.cost[robots[:index]].sum(), table.least_costs[robots[index + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
                 return False
             table.reserve(i)
@@ -206,5 +203,4 @@ def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Gen
         places = [lattice.q[nodes, :2] for lattice, nodes in zip(table.joint.lattices, table.state.T, strict=True)]
         # The least distances from robot i at equal steps.
         gap = np.array([np.hypot(*(place - places[i]).T).min() for place in places]) * rng.uniform(1, 2, len(loss))
-        neighborhood = np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]
-        replan_together(table, rng.permutation(neighborhood).tolist())
+        replan_together(table, rng.permutation(np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]).tolist())

@@ -47,8 +47,7 @@ class CornerRoadmap:
         boundary = workspace.boundary
         self._reach = radius - workspace.tolerance / 2  # so that rounding never turns contact into collision
         begin, end = boundary.segments.transpose(1, 0, 2)
-        length = np.hypot(*(end - begin).T)
-        middle = (begin + end) / 2
+        length, middle = np.hypot(*(end - begin).T), (begin + end) / 2
         self._axes = np.concatenate([boundary.normal, -turned_left(boundary.normal)])
         self._middle = (self._axes * np.tile(middle, (2, 1))).sum(axis=1)[:, None]
         self._half = np.append(np.full(len(length), self._reach), length / 2)[:, None]
@@ -73,8 +72,7 @@ class CornerRoadmap:
         # 1. A motion hits a circle if it passes its center and comes too near: with t the vector from begin to
         #    center, 0 < t . d < |d|^2 and |t x d| < reach |d|. (The ends of the motion are free.)
         tip_x, tip_y = self._tips[:, :1] - x, self._tips[:, 1:] - y
-        along = tip_x * dx + tip_y * dy
-        squared = dx * dx + dy * dy
+        along, squared = tip_x * dx + tip_y * dy, dx * dx + dy * dy
         hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
         # 2. A motion hits a box if it is between both pairs of sides at the same time (slab method). Along each axis,
         #    it is at the box's middle at the time `middle`, and between the sides for the time `half` before and
@@ -85,8 +83,7 @@ class CornerRoadmap:
         middle = (self._middle - self._axes @ begin.T) / rate
         half = self._half / np.abs(rate)
         enter, leave = middle - half, middle + half
-        enter = np.maximum(enter[:num_walls], enter[num_walls:])
-        leave = np.minimum(leave[:num_walls], leave[num_walls:])
+        enter, leave = np.maximum(*np.split(enter, [num_walls])), np.minimum(*np.split(leave, [num_walls]))
         inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
@@ -128,8 +125,7 @@ def _positions_at(
     for fraction, selected in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
         angle = (fraction * turn[selected])[:, None]
         half = (turn / 2 / count)[selected, None]
-        axis = normal[selected]
-        away = np.cos(angle) * axis + np.sin(angle) * turned_left(axis)
+        away = np.cos(angle) * normal[selected] + np.sin(angle) * turned_left(normal[selected])
         points.append(corner[selected] + radius / np.maximum(np.cos(half), _LEAST_COSINE) * away)
     return np.concatenate(points)
 
@@ -218,8 +214,7 @@ def sequential_path(problem: Problem) -> Path | None:
 
     # 2. Move robots that are ready to their goals. If none is ready, let one make way for another.
     while waiting:
-        ready = next((i for i in waiting if is_ready(i, i)), None)
-        if ready is not None:
+        if (ready := next((i for i in waiting if is_ready(i, i)), None)) is not None:
             go(ready, chosen[ready])
             waiting.remove(ready)
         elif not any(make_way(i, j) for i, j in permutations(waiting, 2)):
@@ -249,8 +244,7 @@ def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "ro
     first_of, second_of = np.triu_indices(num, 1)
     reach = np.array(_touch_distances(problem))[first_of, second_of]
     # The waypoints of each robot so far, and the time at which it is at each of them.
-    routes = [path[:1, i] for i in range(num)]
-    times = [np.zeros(1)] * num
+    routes, times = [path[:1, i] for i in range(num)], [np.zeros(1)] * num
     mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)  # the robot that moves after each row
     result = path[:1]
     row = 0
@@ -274,7 +268,6 @@ def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "ro
             columns = [np.interp(when, at, waypoints[:, k]) for at, waypoints in pairs for k in (0, 1)]
             result = np.stack(columns, axis=1).reshape(len(when), num, 2)
             x, y = np.moveaxis(result[:, first_of] - result[:, second_of], 2, 0)
-            gaps = distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0))
-            if (gaps >= reach).all():
+            if (distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0)) >= reach).all():
                 break
     return result

@@ -25,6 +25,7 @@ Rows = Int[np.ndarray, "m"]
 Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
 Robots = tuple[int, ...]
+Group = tuple[Robots, slice]  # one or two robots, and rows of the path
 _ROUNDING = 1e-9
 # Shortcuts:
 _LONGEST = 32  # most steps that a shortcut spans
@@ -43,8 +44,7 @@ _PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.fl
 def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     """Replace motions by straight shortcuts until a round saves little, or the deadline of ``test`` passes."""
     # A robot is tried again after it has gained, or after a robot that blocked one of its shortcuts has moved.
-    trajectory = TeamTrajectory(test.robots, path)
-    cost = path_cost(problem, path)
+    trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     may_gain = np.ones(len(test.robots), dtype=bool)
     in_way = np.zeros((len(may_gain), len(may_gain)), dtype=bool)  # [i, j]: robot j blocked a shortcut of i
     # List all motions and possible shortcuts: from each row to each of the next `_LONGEST` rows.
@@ -89,8 +89,7 @@ def _with_shortcuts(
     shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
     # 2. Exclude shortcuts that hit another robot. Each is cut into one piece per motion that it replaces. A shortcut
     #    usually collides in many pieces or in none, so a few pieces far apart are tested first.
-    is_apart = np.ones(len(shortcuts), dtype=bool)
-    in_way = np.zeros(len(test.robots), dtype=bool)
+    is_apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     first_row, num_pieces = begin[shortcuts], end[shortcuts] - begin[shortcuts]
     shortcut, rank = ragged_indices(num_pieces)  # of each piece
     row = first_row[shortcut] + rank
@@ -119,8 +118,7 @@ def _with_shortcuts(
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
     """Shift configurations of one robot, or of two that touch, in steps of at most ``width``, to lower the cost."""
-    trajectory = TeamTrajectory(test.robots, path)
-    cost = path_cost(problem, path)
+    trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest = width / 2**_NARROWINGS
     diagonal = False  # rounds alternate between shifts along the axes and along the diagonals
     with suppress(TimeoutError):
@@ -130,7 +128,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
                 least = straight_costs(q[0], q[-1], weights).sum()
                 if straight_costs(q[:-1], q[1:], weights).sum() <= (1 + _STRAIGHT) * least:
                     continue  # straight motions have nothing to gain
-                shortened = _shortened_in_corridors(problem, trajectory, rows, robots, test, width, diagonal)
+                shortened = _shortened_in_corridors(problem, trajectory, (robots, rows), test, width, diagonal)
                 for i, q_new in zip(robots, shortened, strict=True):
                     if (q_new != trajectory.path[rows, i]).any():
                         trajectory.move(i, q_new, rows)
@@ -141,7 +139,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     return trajectory.path
 
 
-def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
+def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
     """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch.
 
     The caller may change these rows of ``path`` in place; the pairs that follow are those of the changed path.
@@ -168,19 +166,14 @@ def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.nda
 
 
 def _shortened_in_corridors(
-    problem: Problem,
-    trajectory: TeamTrajectory,
-    rows: slice,
-    robots: Robots,
-    test: JointMotionTest,
-    width: float,
-    diagonal: bool,
+    problem: Problem, trajectory: TeamTrajectory, group: Group, test: JointMotionTest, width: float, diagonal: bool
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return the cheapest collision-free configurations of one or two robots in some rows, out of their corridors.
+    """Return the cheapest collision-free configurations of a group, out of its robots' corridors.
 
-    The first and the last of the rows stay.
+    The first and the last row of the group stay.
     """
     require_time(test.deadline, "all corridors were searched")
+    robots, rows = group
     path = trajectory.path[rows]
     first_row = np.arange(rows.start, rows.stop - 1)
     weights = problem.rotation_weights

@@ -142,13 +142,12 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     graph = csr_array((duration[is_free], child[is_free], first), shape=(len(child), len(child)))
     to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
-    goal_is_free_from = timetable.next_free_rows(i, q[lattice.goal])
+    free_from = timetable.next_free_rows(i, q[lattice.goal])  # by row: the next row from which the goal is free
 
     # The A* value of a state: the first row in which the robot, alone from now on, can come to the goal to stay.
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         arrival = row + to_go[node]
-        last = len(goal_is_free_from) - 1
-        return np.maximum(arrival, goal_is_free_from[np.minimum(arrival, last).astype(int)])
+        return np.maximum(arrival, free_from[np.minimum(arrival, len(free_from) - 1).astype(int)])
 
     # 2. Search by A*, a batch of states at a time. A state is a node and a row, and the index of its parent.
     nodes, rows, parents = [lattice.start], [0], [-1]
@@ -156,7 +155,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     visited = {(lattice.start, 0)}  # nodes, and rows divided by _WAIT
     best, arrived = math.inf, -1  # row of the earliest arrival so far, and its state
     num_expanded = 0
-    if lattice.start == lattice.goal and goal_is_free_from[0] == 0:
+    if lattice.start == lattice.goal and free_from[0] == 0:
         best, arrived = 0, 0
     while open_states and open_states[0][0] < best and num_expanded < max_states:
         require_time(deadline, "a robot was planned")
@@ -191,8 +190,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
         for offset in range(0, len(order), _BATCH):
             state = order[offset : offset + _BATCH]
             count = np.full(len(state), int(min(timetable.patience, len(timetable.path))))
-            may_rest = timetable.are_free(i, q[node[state]], q[node[state]], row[state], count)
-            if may_rest.any():
+            if (may_rest := timetable.are_free(i, q[node[state]], q[node[state]], row[state], count)).any():
                 last = int(state[may_rest.argmax()])
                 break
         else:
