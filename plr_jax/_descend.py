@@ -141,8 +141,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     if not (is_fine := workspace.is_free(goals)).all():
         got = f"{goals[is_fine.argmin()].tolist()}: move it out of the obstacle or into the bounds"
         raise ValueError(f"The goal must be in free space, got {got}.")
-    num_goals = len(goals)
-    places = find_corners(workspace)[0]
+    num_goals, places = len(goals), find_corners(workspace)[0]
     for point in goals:
         places = places.without(point)
     places = places.with_goal(*goals)

@@ -89,8 +89,7 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
             directions = np.eye(dim)
             if dim > 2:
                 num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
-                quantiles = lattice(num, np.full(dim, 0.5 / num))
-                directions = np.concatenate([directions, ndtri(quantiles)])
+                directions = np.concatenate([directions, ndtri(lattice(num, np.full(dim, 0.5 / num)))])
                 directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
             directions = np.concatenate([directions, -directions])
             directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -267,8 +266,7 @@ class _Lookahead:
             return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
 
         def leads_to(x: Points, way: Int[np.ndarray, " n"]) -> Points:
-            there = self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1])
-            return np.where(way[:, None] == 0, self.goal, there)
+            return np.where(way[:, None] == 0, self.goal, self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1]))
 
         def sees(row: Int[np.ndarray, " pairs"], way: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
             here, there = x[row], leads_to(x[row], way)
@@ -300,8 +298,7 @@ class _Lookahead:
 
     def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
         """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""
-        nodes, parent = [x], [-1]
-        frontier = [(0.0, 0)]  # field and index of nodes that are not expanded yet
+        nodes, parent, frontier = [x], [-1], [(0.0, 0)]  # the frontier has the field and the index of nodes
         claimed = set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -416,5 +413,4 @@ def _cheapest_places(
         way = first_visible_in_parts(prices, len(rows), k, sees)[0][:, 0]
         best[rows] = np.where(way[:, None] < 0, x[rows], domain.wrapped(x[rows] + changes[way]))
     # In the end, only exact costs count.
-    is_cheaper = exact(before, best, after) <= (1 - _GAIN) * cost
-    return np.where(is_cheaper[:, None], best, x)
+    return np.where((exact(before, best, after) <= (1 - _GAIN) * cost)[:, None], best, x)

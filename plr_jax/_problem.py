@@ -199,8 +199,7 @@ def _require_free(problem: Problem, name: str) -> None:
         inside, clearance, obstacle = _room(workspace, robot, q)
         if inside < -workspace.tolerance:
             is_in = workspace.bounds.contains(q[None, :2])[0]
-            place = f": {q.tolist()} is not in {workspace.bounds}"
-            place = f" by {-inside:.3g} at {q.tolist()}" if is_in else place
+            place = f" by {-inside:.3g} at {q.tolist()}" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
             raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}.")
         if clearance < -workspace.tolerance:
             place = f"at {q.tolist()} (clearance {clearance:.3g})"

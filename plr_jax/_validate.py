@@ -213,8 +213,7 @@ def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]
     """
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
-    if len(path) == 1:
-        path = np.repeat(path, 2, axis=0)
+    path = np.repeat(path, 2, axis=0) if len(path) == 1 else path
     # 1. Pair each robot with the blocked space. The blocked region includes a margin beyond the bounds and the path.
     lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
     hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
@@ -249,8 +248,8 @@ def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, 
         begin, change = offset[:-1], np.diff(offset, axis=0)
         squared = (change**2).sum(axis=2)
         t = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-        nearest = begin + t[..., None] * change
-        least = np.sqrt((nearest**2).sum(axis=2).min(axis=0)) - radius[:j] - radius[j]
+        squared = ((begin + t[..., None] * change) ** 2).sum(axis=2)
+        least = np.sqrt(squared.min(axis=0)) - radius[:j] - radius[j]
         clearances += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
     return sorted(clearances)
 
@@ -265,9 +264,8 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:
     """Return the most that a robot's corners move by turning, in each motion."""
-    if robot.dof == 2:
-        return np.zeros(len(path) - 1)
-    return np.linalg.norm(robot.core, axis=1).max() * np.abs(shorter_turn(path[:-1, 2], path[1:, 2]))
+    turn = shorter_turn(path[:-1, 2], path[1:, 2]) if robot.dof == 3 else np.zeros(len(path) - 1)
+    return np.linalg.norm(robot.core, axis=1).max() * np.abs(turn)
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:

@@ -70,8 +70,7 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     distance = as_distances("The distance function", distance_fn(x.copy()), x)
     answer = as_values("The approximation", approximation(x.copy()), len(x))
     reachable, answered = np.isfinite(distance), np.isfinite(answer)
-    is_compared = reachable & answered
-    if not is_compared.any():
+    if not (is_compared := reachable & answered).any():
         finite = (
             f"the distance function is finite at {reachable.sum()}, and the approximation is finite at none of these"
         )

@@ -82,9 +82,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
 def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
     """Return a function from states of an OMPL space to coordinates; ``ValueError`` for an unknown space."""
-    axes = range(dim)
     if isinstance(space, base.RealVectorStateSpace) and space.getDimension() >= dim:
-        return lambda state: [state[axis] for axis in axes]
+        return lambda state: [state[axis] for axis in range(dim)]
     if isinstance(space, base.SE2StateSpace) and dim == 2:
         return lambda state: (state.getX(), state.getY())
     if isinstance(space, base.SE2StateSpace) and dim == 3:

@@ -57,9 +57,8 @@ class MovingBodies(NamedTuple):
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
     """Return a robot's straight motions from ``q0`` to ``q1``, still without its shape, which ``with_size`` adds."""
-    heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
-    if robot.dof == 3:
-        heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
+    heading = q0[:, 2] if robot.dof == 3 else np.zeros(len(q0))
+    turn = shorter_turn(q0[:, 2], q1[:, 2]) if robot.dof == 3 else np.zeros(len(q0))
     dx, dy = q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1]
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
@@ -186,8 +185,7 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
         stride //= 2
         near = np.stack([corner, corner - stride, corner + stride]) % num_corners
         at = near * n + np.arange(n)
-        best = (nx * x[at] + ny * y[at]).argmin(axis=0)[None]
-        corner = np.take_along_axis(near, best, axis=0)[0]
+        corner = np.take_along_axis(near, (nx * x[at] + ny * y[at]).argmin(axis=0)[None], axis=0)[0]
     at = corner * n + np.arange(n)
     return nx * x[at] + ny * y[at]
 
@@ -233,8 +231,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     of_a, of_b = rotation_bounds(a, b, rim_a, rim_b)
     for (u0, support0), (u1, support1), bulge in zip(first, last, (of_a, of_a, of_b, of_b), strict=True):
         # The other body must be on the same side of the axis at both ends.
-        along = np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1)
-        gap = np.maximum(gap, along - bulge)
+        gap = np.maximum(gap, np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1) - bulge)
     clear = gap >= reach
     # 3. At each end, the axes along the sides decide (separating axis theorem).
     separation = np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))

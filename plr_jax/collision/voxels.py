@@ -93,8 +93,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
     # shares of the motion; all parts are equally wide).
     is_clear = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
     motion = np.flatnonzero(is_clear)
-    begin = np.zeros(len(motion))
-    width = 1.0
+    begin, width = np.zeros(len(motion)), 1.0
     while len(motion):
         # 1. Drop the parts whose boxes are far from blocked voxels.
         change = q1[:, motion] - q0[:, motion]
@@ -112,9 +111,8 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
             is_clear[tested[squared_distances(grid, q0[:, tested], q1[:, tested], voxel) < radius**2]] = False
         # 4. Halve the others, unless their motion hits a voxel.
         halved = is_clear[motion] & ~short
-        motion, begin = motion[halved], begin[halved]
         width /= 2
-        motion, begin = np.append(motion, motion), np.append(begin, begin + width)
+        motion, begin = np.tile(motion[halved], 2), np.append(begin[halved], begin[halved] + width)
     return is_clear
 
 
@@ -230,10 +228,10 @@ class _Traversal:
         # 3. Voxels beyond the crossed faces (with all bits in `beyond`) are reached from free voxels on the near
         #    side, through faces of free voxels around the crossing.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
-        reached = around
-        reached[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
+        #    From now on, `around` has the voxels that are reached.
+        around[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
         self.at[:, rows] += np.where(crossed, step, 0)
-        return np.take_along_axis(reached, self.corner | beyond, axis=1)
+        return np.take_along_axis(around, self.corner | beyond, axis=1)
 
     def _free_around(self, motions: Int[np.ndarray, " some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
         # `span`: the step, along each axis, from the voxels with bit 0 to those with bit 1.
@@ -243,8 +241,7 @@ class _Traversal:
     def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
         """Return across which axes each motion leaves its current voxels next, and the next face along each axis."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
-        ahead = at + (self.step[:, rows] > 0)
-        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, ahead, strict=True)])
+        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, at + (self.step[:, rows] > 0), strict=True)])
         time = np.full(face.shape, np.inf)
         np.divide(face - q0, self.q1[:, rows] - q0, out=time, where=at != self.last[:, rows])
         return time <= _NEARLY * time.min(axis=0) + _LEAST_TIME, face

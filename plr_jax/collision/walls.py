@@ -61,8 +61,7 @@ class MotionTest:
             edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
             counts.append(np.bincount(near, minlength=len(part)))
             clearance.append(workspace.clearance(part))
-        self._first = np.append(0, np.cumsum(np.concatenate(counts)))
-        self._edge = np.concatenate(edges)
+        self._first, self._edge = np.append(0, np.cumsum(np.concatenate(counts))), np.concatenate(edges)
         self._clearance = np.concatenate(clearance)
 
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Bool[np.ndarray, " n"]:
@@ -178,8 +177,7 @@ class MotionTest:
         # 3. Test the undecided pairs exactly. An edge is a body at rest: a flat box, or a body with two vertices.
         doubtful = np.flatnonzero((distance < robot.circumscribed_radius) & clear[piece])
         edges, tangent = edges[doubtful], tangent[doubtful]
-        center = edges.mean(axis=1)
-        zeros = np.zeros(len(doubtful))
+        center, zeros = edges.mean(axis=1), np.zeros(len(doubtful))
         reach, half = robot.rounding - tolerance, robot.half_sides
         if half is not None and reach <= 0:
             kernel, size = box_separation, half

@@ -16,7 +16,6 @@ from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import (
     SEARCHERS,
     BLOptions,
-    JointPath,
     MemoryUse,
     SearchBudget,
     Solution,
@@ -32,7 +31,7 @@ from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_latt
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
-from plr_jax.planners.through_time import subdivided
+from plr_jax.planners.through_time import JointPath, subdivided
 from plr_jax.robots.robot import between
 
 # Steps (cell sizes of lattices), as shares of the bounds' longer side:
@@ -277,18 +276,17 @@ class Run:
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
         """Build lattices of cell size ``step``, finer if ``may_halve``; None if a goal is cut off or time is up."""
-        problem = self.problem
-        straight = motion_costs(problem, problem.starts, problem.goals)
+        straight = motion_costs(self.problem, self.problem.starts, self.problem.goals)
         try:
-            joint = build_lattices(problem, step, self.test)
+            joint = build_lattices(self.problem, step, self.test)
             if not np.isfinite(joint.least_costs).all():
                 return None
             # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
             while may_halve and (joint.least_costs > _DETOUR * straight).any():
                 half = joint.step / 2
-                if _num_motions_to_test(problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
+                if _num_motions_to_test(self.problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
                     break
-                finer = build_lattices(problem, half, self.test)
+                finer = build_lattices(self.problem, half, self.test)
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
                     break  # also if a goal is cut off in the finer lattice, whose cost is then inf
                 joint = finer
@@ -417,8 +415,9 @@ class Searches:
         self.memory_use = MemoryUse(self.budget)
         num_terms = sum(len(lattice.q) for lattice in joint.lattices) * (1 if run.heuristic is None else 2)
         self.memory_use.add(int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_terms)
-        heuristic = run.heuristic
-        self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, self.budget.deadline)
+        self.terms = (
+            joint.costs_to_go if run.heuristic is None else tabulate(joint, run.heuristic, run.budget.deadline)
+        )
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in searchers:
             self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), self.budget)
@@ -427,7 +426,6 @@ class Searches:
 
     def run(self, bar: tqdm) -> Status | None:
         """Run each search for a while, longer at every call; return why one ended, or None if both may go on."""
-        budget = self.budget
         status = None
         num_robots = len(self.joint.lattices)
         finds_all = "lacam" in self.running  # LaCAM leaves out nothing
@@ -435,9 +433,11 @@ class Searches:
             status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
         # Best-first search begins as soon as its tables fit into the memory. Without LaCAM, it must fit at once.
         lacks_path = status is None and "bl" in self.searchers
-        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < budget.max_memory):
+        if lacks_path and (
+            "bl" in self.running or self.budget.memory + self.num_bytes_needed < self.budget.max_memory
+        ):
             if "bl" not in self.running:
-                self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, budget)
+                self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, self.budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
             search = self.running["bl"]
             status = search.run(max(1, int(self.turn * expansions)), bar)

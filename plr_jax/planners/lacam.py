@@ -204,10 +204,8 @@ class PIBT:
         chosen[robot] = primitive
         self._robots.append(robot)
         for other, collide in self.moves.neighbors[robot]:
-            bits = collide[primitive]
-            if bits and chosen[other] < 0:
-                before = allowed[other]
-                if before & bits:
+            if (bits := collide[primitive]) and chosen[other] < 0:
+                if (before := allowed[other]) & bits:
                     self._changes.append((other, before))
                     allowed[other] = before & ~bits
                 if not allowed[other] & 1:

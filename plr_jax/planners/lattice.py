@@ -283,8 +283,7 @@ class CellGrid(NamedTuple):
         if missing.any():
             motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
             new = occupied[missing]
-            motions.q[new] = poses[first[missing]]
-            motions.free[new] = True
+            motions.q[new], motions.free[new] = poses[first[missing]], True
             around, leads = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
             motions.connect(np.union1d(new, around[leads]))
         # 2. Add a primitive between a start and a goal in the same cell.
@@ -302,8 +301,7 @@ class CellGrid(NamedTuple):
         cost = motions.costs(leads, poses[:, None], motions.q[target])
         child_of_terminals = np.where(np.isfinite(cost), nodes[target], terminal_nodes[:, None])
         cost[:, 0] = 0.0  # the terminal stays in place
-        q = np.concatenate([motions.q[free], poses])
-        cost = np.concatenate([motions.cost[free], cost])
+        q, cost = np.concatenate([motions.q[free], poses]), np.concatenate([motions.cost[free], cost])
         child = np.concatenate([child, child_of_terminals], dtype=np.int32)
         # 4. Find the motions into terminals: each primitive from the node of the previous cell (`into`), or from the
         #    robot's other terminal if that is in the previous cell (`across`).
@@ -420,8 +418,7 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
     # 2. Choose representatives: a sample if the center is blocked and the robot might fit into the cell. (Clearance
     #    grows by at most the distance from the center, which is at most half a diagonal of the cell.)
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    pattern = np.array(list(product(along, along))) * side[:2]
-    half_diagonal = np.hypot(*side[:2]) / 2
+    pattern, half_diagonal = np.array(list(product(along, along))) * side[:2], np.hypot(*side[:2]) / 2
     for cells in chunks:
         require_time(deadline, "the lattice was built")
         representatives = q[cells]  # a view of the centers, which samples may replace

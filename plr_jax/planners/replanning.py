@@ -27,7 +27,6 @@ from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-Planner: TypeAlias = Callable[[Problem], Solution]
 _DEFAULTS = BLOptions()
 _ROUNDING = 1e-9
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
@@ -79,15 +78,13 @@ def replan(
     """
     require_problem_and_options(problem, options)
     began = time.perf_counter()
-    num_robots = len(problem.robots)
     # 1. Check the standing robots.
-    expected = f"standing must be indices of the {num_robots} robots"
+    expected = f"standing must be indices of the {len(problem.robots)} robots"
     if not isinstance(standing, Iterable):
         raise ValueError(f"{expected}, as a list, got {shortened(standing)}.")
-    robots = [*standing]
-    for i in robots:
+    for i in (robots := [*standing]):
         require_integer("standing", i, 0)
-        if i >= num_robots:
+        if i >= len(problem.robots):
             raise ValueError(f"{expected}, got {i}.")
         if (problem.starts[i] != problem.goals[i]).any():
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
@@ -208,7 +205,7 @@ def lifelong(
     next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
     num_goals: int,
     options: BLOptions = _DEFAULTS,
-    plan: Planner | None = None,
+    plan: Callable[[Problem], Solution] | None = None,
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
@@ -254,7 +251,7 @@ def lifelong(
 class _LifelongTeam:
     """State of a lifelong run: the motions planned from now on, the goals, and a record of the motions made."""
 
-    def __init__(self, problem: Problem, options: BLOptions, plan: Planner | None):
+    def __init__(self, problem: Problem, options: BLOptions, plan: Callable[[Problem], Solution] | None):
         # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
         self.problem, self.options, self.plan = problem, options, plan
         self.path = problem.starts[None]  # from now on
@@ -264,8 +261,7 @@ class _LifelongTeam:
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, " dof"]]] = []  # robot, row and goal
-        self._done = [problem.starts[None]]  # parts of the path until now
-        self._num_rows = 0  # motions until now; the path of the whole run has a row more
+        self._done, self._num_rows = [problem.starts[None]], 0  # parts of the path until now, and its motions
         self._seconds: list[float] = []
         self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness

@@ -184,8 +184,7 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
         if len(reserved) < len(robots):
             for i in reserved:
                 table.reserve(i, -1)
-            table.state[:, robots] = state
-            table.cost[robots] = cost
+            table.state[:, robots], table.cost[robots] = state, cost
             for i in robots:
                 table.reserve(i)
 

@@ -84,8 +84,7 @@ class CornerRoadmap:
         half = self._half / np.abs(rate)
         enter, leave = middle - half, middle + half
         enter, leave = np.maximum(*np.split(enter, [num_walls])), np.minimum(*np.split(leave, [num_walls]))
-        inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
-        return ~(inside.any(axis=0) | hits.any(axis=0))
+        return ~((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
         """Return each robot's routes: costs of free straight motions between its start, its goal and corners."""
@@ -170,8 +169,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return None
     at = [routes.start for routes in all_routes]  # present positions
     rows = [at.copy()]
-    waiting = list(range(len(robots)))  # robots that are not at their goals
-    aside = set()  # robots that have stepped aside
+    waiting, aside = list(range(len(robots))), set()  # robots not at their goals, and those that have stepped aside
 
     def clears(i: int, route: Route, ignored: tuple[int, ...]) -> bool:
         # Whether robot i hits no robot on a route.
@@ -196,9 +194,7 @@ def sequential_path(problem: Problem) -> Path | None:
         routes = all_routes[i]
         # Costs of the shortest routes from start to goal through each corner.
         detours = (routes.out + routes.roadmap.cost).min(axis=1, initial=np.inf) + routes.to_go
-        for corner in np.argsort(detours, kind="stable").tolist():
-            if detours[corner] == np.inf:
-                break
+        for corner in np.argsort(detours, kind="stable")[: np.count_nonzero(detours < np.inf)].tolist():
             if _comes_within(chosen[j], routes.roadmap.places[corner], reach[i][j]):
                 continue
             first = int((routes.out + routes.roadmap.cost[corner]).argmin())
@@ -246,8 +242,7 @@ def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "ro
     # The waypoints of each robot so far, and the time at which it is at each of them.
     routes, times = [path[:1, i] for i in range(num)], [np.zeros(1)] * num
     mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)  # the robot that moves after each row
-    result = path[:1]
-    row = 0
+    result, row = path[:1], 0
     for i, motions in groupby(mover.tolist()):
         # 1. Add the route of one robot, until another one moves.
         route = path[row : row + len(list(motions)) + 1, i]

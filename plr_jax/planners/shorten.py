@@ -84,8 +84,8 @@ def _with_shortcuts(
     so_far = np.concatenate([[0.0], np.cumsum(cost[is_motion])])
     useful = is_motion | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
     useful &= is_motion | ~(at_contact[begin] | at_contact[end])
-    begin, end, cost, is_motion = begin[useful], end[useful], cost[useful], is_motion[useful]
-    shortcuts = np.flatnonzero(~is_motion)
+    begin, end, cost, is_edge = begin[useful], end[useful], cost[useful], is_motion[useful]
+    shortcuts = np.flatnonzero(~is_edge)
     shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
     # 2. Exclude shortcuts that hit another robot. Each is cut into one piece per motion that it replaces. A shortcut
     #    usually collides in many pieces or in none, so a few pieces far apart are tested first.
@@ -106,7 +106,6 @@ def _with_shortcuts(
         is_apart[shortcut[now[near[meet]]]] = False
         in_way[j[meet]] = True
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
-    is_edge = is_motion.copy()
     is_edge[shortcuts[is_apart]] = True
     graph = csr_array((cost[is_edge], (begin[is_edge], end[is_edge])), shape=(len(q), len(q)))
     previous = dijkstra(graph, indices=0, return_predecessors=True)[1]

@@ -58,8 +58,7 @@ class Timetable:
             self._last = len(q) - 1
             self._trajectory = TeamTrajectory(self.problem.robots, np.concatenate([self._trajectory.path, more]))
         whole = self._trajectory.path[:, i].copy()  # keeps the heading of a robot without one
-        whole[: len(q), : q.shape[1]] = q
-        whole[len(q) :, : q.shape[1]] = q[-1]
+        whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
         self._trajectory.move(i, whole)
         self.ends[i] = len(q) - 1
         self.ignored.discard(i)
@@ -229,8 +228,7 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
         #    which the lattice motion to the next waypoint is possible.
         if is_possible.any():
             farthest = np.flatnonzero(is_possible)[-1]
-            at = int(ahead[farthest])
-            steps = int(count[farthest])
+            at, steps = int(ahead[farthest]), int(count[farthest])
             parts.append(between(parts[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
             if steps:
                 parts[-1][-1] = q[at]  # without rounding
