@@ -346,8 +346,7 @@ class Run:
             # From here on the table's paths are free of collisions, whenever time is up.
             replan_each(table)
             self._recorded(searches, table.state)
-            rng = np.random.default_rng(0)
-            gains = in_groups
+            rng, gains = np.random.default_rng(0), in_groups
             while gains and self.cost > self.accepted_cost and not budget.exceeded():
                 before = table.cost.sum()
                 replan_neighborhoods(table, len(self.problem.robots), rng)
@@ -415,9 +414,8 @@ class Searches:
         self.memory_use = MemoryUse(self.budget)
         num_terms = sum(len(lattice.q) for lattice in joint.lattices) * (1 if run.heuristic is None else 2)
         self.memory_use.add(int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_terms)
-        self.terms = (
-            joint.costs_to_go if run.heuristic is None else tabulate(joint, run.heuristic, run.budget.deadline)
-        )
+        heuristic = run.heuristic
+        self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, self.budget.deadline)
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in searchers:
             self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), self.budget)
