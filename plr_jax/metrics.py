@@ -71,10 +71,8 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     answer = as_values("The approximation", approximation(x.copy()), len(x))
     reachable, answered = np.isfinite(distance), np.isfinite(answer)
     if not (is_compared := reachable & answered).any():
-        finite = (
-            f"the distance function is finite at {reachable.sum()}, and the approximation is finite at none of these"
-        )
-        raise ValueError(f"No error is defined: of {len(x)} points, {finite}.")
+        finite = f"of {len(x)} points, the distance function is finite at {reachable.sum()}"
+        raise ValueError(f"No error is defined: {finite}, and the approximation is finite at none of these.")
     error = np.abs(answer[is_compared] - distance[is_compared])
     worst = int(np.argmax(error))
     return ErrorReport(

@@ -88,7 +88,5 @@ def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
         return lambda state: (state.getX(), state.getY())
     if isinstance(space, base.SE2StateSpace) and dim == 3:
         return lambda state: (state.getX(), state.getY(), state.getYaw())
-    name = f"a {type(space).__name__} of {space.getDimension()} dimensions"
-    raise ValueError(
-        f"coordinates must be given for {name} and a PLR of {dim}: pass coordinates=lambda state: (...)."
-    )
+    dimensions = f"a {type(space).__name__} of {space.getDimension()} dimensions and a PLR of {dim}"
+    raise ValueError(f"coordinates must be given for {dimensions}: pass coordinates=lambda state: (...).")

@@ -29,6 +29,7 @@ _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128  # cells along the longer side for a point
 _PURPOSE = "all motions were tested"
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
+Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 class MotionTest:
@@ -64,7 +65,7 @@ class MotionTest:
         self._first, self._edge = np.append(0, np.cumsum(np.concatenate(counts))), np.concatenate(edges)
         self._clearance = np.concatenate(clearance)
 
-    def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Bool[np.ndarray, " n"]:
+    def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
         """Return whether motions between finite configurations are free all along, up to ``workspace.tolerance``.
 
         A robot that turns within about 1e-7 of its size from a wall may be rejected; otherwise the test is exact.
@@ -84,12 +85,12 @@ class MotionTest:
             is_at.flat[tree.query(points, predicate="dwithin", distance=tolerance)[0]] = True
         return is_at
 
-    def has_room(self, x: Column, y: Column, radius: Column) -> Bool[np.ndarray, " n"]:
+    def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
         """Return whether the robot is surely free at any heading with its reference point anywhere in each circle."""
         cell, from_center = self._locate(x, y)
         return self._clearance[cell] - from_center > radius + self.robot.circumscribed_radius
 
-    def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Bool[np.ndarray, " n"]:
+    def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
         """Return which motions are free: by clearance where that decides, else by tests against walls."""
         pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
         # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).
@@ -125,9 +126,7 @@ class MotionTest:
         dx, dy = x - lo[0] - (column + 0.5) * self._cell, y - lo[1] - (row + 0.5) * self._cell
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
-    def _test_walls(
-        self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float
-    ) -> Bool[np.ndarray, " n"]:
+    def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
         """Return which pieces of motions hit no wall near their cells. For a point robot, all walls are tested."""
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
@@ -141,9 +140,7 @@ class MotionTest:
                 clear[part] = self._test_edges(batch, cell[part], deadline)
         return clear
 
-    def _test_edges(
-        self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float
-    ) -> Bool[np.ndarray, " n"]:
+    def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
         """Return which pieces of motions keep clear of the walls near their cells."""
         robot, tolerance = self.robot, self.workspace.tolerance
         clear = np.ones(len(cell), dtype=bool)
