@@ -210,8 +210,7 @@ class _Traversal:
     def _cross(
         self, rows: Int[np.ndarray, " some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
-        # Move `at` across the next faces, and return which of the voxels around the point there each motion can be
-        # in.
+        # Move `at` across the next faces, and return in which of the voxels around that point each motion can be.
         # 1. Find the faces that each motion crosses next, and the free voxels around the crossing.
         step, layers = self.step[:, rows], self.layers[:, rows]
         crossed, face = self._crossed_next(rows)
@@ -226,9 +225,8 @@ class _Traversal:
             crossed[:, doubtful] = first
             around[doubtful] = self._free_around(motions, np.where(first, step[:, doubtful], layers[:, doubtful]))
         # 3. Voxels beyond the crossed faces (with all bits in `beyond`) are reached from free voxels on the near
-        #    side, through faces of free voxels around the crossing.
+        #    side, through faces of free voxels around the crossing. `around` becomes the voxels that are reached.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
-        #    From now on, `around` has the voxels that are reached.
         around[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
         self.at[:, rows] += np.where(crossed, step, 0)
         return np.take_along_axis(around, self.corner | beyond, axis=1)
