@@ -158,8 +158,8 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
     else:
 
         def is_free(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-            rooms = [_room(workspace, robot, np.append(point, heading)) for point in x]
-            return np.array([min(room[:2]) >= -workspace.tolerance for room in rooms])
+            clearances = [_clearances(workspace, robot, np.append(point, heading)) for point in x]
+            return np.array([min(inside, clearance) >= -workspace.tolerance for inside, clearance, _ in clearances])
 
         reach = robot.circumscribed_radius * max(1.0, np.abs(heading).max(initial=0.0))
         position = workspace.bounds.settled(position, is_free, reach)
@@ -196,7 +196,7 @@ def _require_free(problem: Problem, name: str) -> None:
     """Raise a ``ValueError`` if a robot leaves the bounds or overlaps an obstacle at its start or goal."""
     workspace = problem.workspace
     for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
-        inside, clearance, obstacle = _room(workspace, robot, q)
+        inside, clearance, obstacle = _clearances(workspace, robot, q)
         if inside < -workspace.tolerance:
             is_in = workspace.bounds.contains(q[None, :2])[0]
             place = f" by {-inside:.3g} at {q.tolist()}" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
@@ -206,7 +206,7 @@ def _require_free(problem: Problem, name: str) -> None:
             raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}.")
 
 
-def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
+def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
     """Return how far a robot is inside the bounds, its clearance of the obstacle that it overlaps most, and which."""
     core, radius, obstacles = footprint(robot, q), robot.rounding, np.array(workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)

@@ -105,12 +105,12 @@ class MotionTest:
         clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
         # 3. A body that no wall cuts is inside or outside. If the middle may be outside, test the center of the body
         #    there: the reference point may touch a wall.
-        lost = unsure[clear[unsure] & (clearance[unsure] <= from_center[unsure])]
+        doubtful = unsure[clear[unsure] & (clearance[unsure] <= from_center[unsure])]
         u, v = self.robot.core.mean(axis=0)
-        heading = pieces.theta[lost] + 0.5 * pieces.turn[lost]
+        heading = pieces.theta[doubtful] + 0.5 * pieces.turn[doubtful]
         c, s = np.cos(heading), np.sin(heading)
-        center = np.stack([x[lost] + c * u - s * v, y[lost] + s * u + c * v], axis=1)
-        clear[lost] = self.workspace.is_free_to_tolerance(center)
+        center = np.stack([x[doubtful] + c * u - s * v, y[doubtful] + s * u + c * v], axis=1)
+        clear[doubtful] = self.workspace.is_free_to_tolerance(center)
         if motion is None:
             return clear
         # 4. A motion is free if all its pieces are.

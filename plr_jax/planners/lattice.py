@@ -43,7 +43,7 @@ Ends: TypeAlias = Float[np.ndarray, " n #primitives dof"]  # ends of motions
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: for each robot, a node of its lattice
-Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # end node and cost
+Primitives: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # end node and cost
 
 
 class Terminals(NamedTuple):
@@ -94,7 +94,7 @@ class Kind:
         # The farthest that a motion takes the body from the motion's begin.
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
-    def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Leads:
+    def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Primitives:
         """Return the end node and cost of each primitive from nodes of robot ``members[row]``.
 
         By default, ``node`` holds one node for each robot of ``members``.
@@ -182,7 +182,7 @@ class Lattice:
         self.start, self.goal = kind.terminals.node[row].tolist()
 
     @cached_property
-    def _motions(self) -> Leads:
+    def _motions(self) -> Primitives:
         return self.kind.motions(np.arange(len(self.q)), self.row)
 
     @property
@@ -284,8 +284,8 @@ class CellGrid(NamedTuple):
             motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
             new = occupied[missing]
             motions.q[new], motions.free[new] = poses[first[missing]], True
-            around, leads = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
-            motions.connect(np.union1d(new, around[leads]))
+            around, is_possible = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
+            motions.connect(np.union1d(new, around[is_possible]))
         # 2. Add a primitive between a start and a goal in the same cell.
         if (differ & (cells[:num_robots] == cells[num_robots:])).any():
             motions = motions._replace(
@@ -297,8 +297,8 @@ class CellGrid(NamedTuple):
         free, offsets = motions.free, motions.offsets
         nodes, terminal_nodes = np.cumsum(free) - 1, int(free.sum()) + np.arange(len(poses))
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
-        target, leads = motions.neighbors(cells, offsets)
-        cost = motions.costs(leads, poses[:, None], motions.q[target])
+        target, is_possible = motions.neighbors(cells, offsets)
+        cost = motions.costs(is_possible, poses[:, None], motions.q[target])
         child_of_terminals = np.where(np.isfinite(cost), nodes[target], terminal_nodes[:, None])
         cost[:, 0] = 0.0  # the terminal stays in place
         q, cost = np.concatenate([motions.q[free], poses]), np.concatenate([motions.cost[free], cost])
@@ -347,10 +347,10 @@ class CellGrid(NamedTuple):
 
     def connect(self, cells: Int[np.ndarray, " n"], deadline: float = math.inf) -> None:
         """Test all motions that begin in the given cells, and write their end cells and costs into the grid."""
-        child, leads = self.neighbors(cells, self.offsets)
+        child, is_possible = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
-        leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
-        cost = self.costs(leads, self.q[cells][:, None], self.q[child], deadline)
+        is_possible &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
+        cost = self.costs(is_possible, self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 

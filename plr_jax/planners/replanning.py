@@ -104,10 +104,10 @@ def replan(
         i = int(apart.argmax())
         where = f"where the solution has the robots then, solution.path_at({at:g})"
         raise ValueError(f"starts must be {where}: robot {i} is {apart[i]:.3g} away from there.")
-    rest = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
+    remaining = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
     # 3. Replan robots whose motions no longer lead to their goals.
     step = options.step or first_step(problem)
-    path = subdivided(problem, rest, step / ROWS_PER_STEP)
+    path = subdivided(problem, remaining, step / ROWS_PER_STEP)
     timetable = Timetable(problem, path, deadline=began + options.time_limit)
     try:
         status = Status.SOLVED if _replan(problem, timetable, step, fixed) else Status.EXHAUSTED

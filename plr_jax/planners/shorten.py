@@ -185,8 +185,9 @@ def _shortened_in_corridors(
     # Let c_i be the cost of robot i's present path, and m_i its least cost. A path of robot i of cost t can only be
     # part of a cheaper joint path if t + sum of m_k (k != i) < sum of c_k, that is, t < m_i + spare.
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
-    for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
+    for i, corridor, region, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # 2. Set the costs of motions that cannot gain, or hit something, to inf. Test only motions that may gain.
+        #    `region` has a circle for each row in which the reference point stays.
         present_cost = cost[:, 0, 0].copy()
         may_gain = total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
         cost[~may_gain] = np.inf
@@ -194,10 +195,10 @@ def _shortened_in_corridors(
         begin, end = corridor[row, first], corridor[row + 1, last]
         at_contact = test.wall_tests[i].is_at_contact(corridor)
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
-        near_wall = free & ~test.wall_tests[i].has_room(*reached)[row]
+        near_wall = free & ~test.wall_tests[i].has_room(*region)[row]
         free[near_wall] = test.wall_tests[i](begin[near_wall], end[near_wall], test.deadline)
         # Test all motions of a row against each robot that is near in this row (`near_row`).
-        near_row, j = trajectory.robots_near(i, reached, first_row, robots)
+        near_row, j = trajectory.robots_near(i, region, first_row, robots)
         tested, pair = take_ragged(np.searchsorted(row, np.arange(len(first_row) + 1)), near_row)
         free[tested[test.meet(i, begin[tested], end[tested], trajectory, first_row[near_row[pair]], j[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
