@@ -25,13 +25,13 @@ def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: fl
     """
     # 1. The box enlarged by the radius contains all points within the radius, and points beyond it near its corners.
     #
-    #      . . . . . . . . . .     Blocked voxels in the enlarged box (dotted) are near if they are straight ahead of
-    #      . ?  |       |  ? .     the box along an axis. In the corners (?) their distance is computed.
-    #      . - - +-----+ - - .
-    #      .     | box |     .
-    #      . - - +-----+ - - .
-    #      . ?   |     |   ? .
-    #      . . . . . . . . . .
+    #      . . . . . . . .     Blocked voxels in the enlarged box (dotted) are near if they are straight ahead of the
+    #      . ? |     | ? .     box along an axis. In the corners (?), their distances decide.
+    #      . --+-----+-- .
+    #      .   | box |   .
+    #      . --+-----+-- .
+    #      . ? |     | ? .
+    #      . . . . . . . .
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
     is_doubtful = within.copy()

@@ -430,10 +430,8 @@ class Searches:
         if finds_all:
             status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
         # Best-first search begins as soon as its tables fit into the memory. Without LaCAM, it must fit at once.
-        lacks_path = status is None and "bl" in self.searchers
-        if lacks_path and (
-            "bl" in self.running or self.budget.memory + self.num_bytes_needed < self.budget.max_memory
-        ):
+        has_memory = "bl" in self.running or self.budget.memory + self.num_bytes_needed < self.budget.max_memory
+        if status is None and "bl" in self.searchers and has_memory:
             if "bl" not in self.running:
                 self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, self.budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
