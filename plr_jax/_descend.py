@@ -107,7 +107,7 @@ def descend(
     """
     require_function("distance_fn", distance_fn)
     if isinstance(space, Workspace) and cost_map is None:
-        vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
+        chains = _along_corners(distance_fn, space, starts, goal)
     else:
         space = PlaneSpace(space) if isinstance(space, Workspace) else space
         require_space(space)
@@ -115,9 +115,8 @@ def descend(
             raise ValueError(f"space must have classify and are_free to prove motions free, got {shortened(space)}.")
         if cost_map is not None and not isinstance(cost_map, CostMap):
             raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
-        vertices, counts, lengths, costs, is_free = by_lookahead(
-            distance_fn, PathCosts(space, cost_map), starts, goal
-        )
+        chains = by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
+    vertices, counts, lengths, costs, is_free = chains
     reached = counts > 0
     members = np.array([DescentStatus.REACHED, DescentStatus.STUCK, DescentStatus.START_NOT_FREE], dtype=object)
     status = members[np.where(reached, 0, np.where(is_free, 1, 2))]
@@ -129,76 +128,80 @@ _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in
 
 
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Find paths in a workspace along corners, of which each is joined to its best places by the field."""
+    """Find paths in a workspace from corner to corner; each corner is joined to the places that the field ranks best.
+
+    *Places* are the goals, then the corners.
+    """
+    # 1. Check the arguments, and evaluate the field at all places.
     starts = as_points("starts", workspace.settled(starts), 2)
     goal = as_numbers("goal", workspace.settled(goal), "numbers of shape (2,) or (k, 2)")
     goals = as_points("goal", goal, 2) if goal.ndim == 2 else as_finite_point("The goal", goal, 2)[None]
     if not len(goals):
         raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
     if not (is_fine := workspace.is_free(goals)).all():
-        got = goals[is_fine.argmin()].tolist()
-        raise ValueError(
-            f"The goal must be in free space, got {got}: move it out of the obstacle or into the bounds."
-        )
-    places, count = find_corners(workspace)[0], len(goals)
+        got = f"{goals[is_fine.argmin()].tolist()}: move it out of the obstacle or into the bounds"
+        raise ValueError(f"The goal must be in free space, got {got}.")
+    num_goals, places = len(goals), find_corners(workspace)[0]
     for point in goals:
         places = places.without(point)
     places = places.with_goal(*goals)
     points = places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
-    field[:count] = 0.0  # at the goals, by definition
+    field[:num_goals] = 0.0  # at the goals, by definition
 
     def shortest(edges: Int[np.ndarray, "edges 2"]) -> tuple[Float[np.ndarray, "places"], Next]:
-        length, onward = dijkstra(Graph(points, edges), np.arange(count))
-        onward[:count] = np.arange(count)  # a goal's next place is the goal
+        length, onward = dijkstra(Graph(points, edges), np.arange(num_goals))
+        onward[:num_goals] = np.arange(num_goals)  # a goal's next place is the goal
+        # Places without a path point to goal 0, so that indexing works; their length is inf, so no path uses them.
         return length, np.maximum(onward, 0)
 
-    # 1. Join each corner to its best places by the field. Join corners without a path to all places that they see.
-    edges = _edges(workspace, places, field, np.arange(count, len(points)), _NUM_WAYS)
+    # 2. Join each corner to its best places by the field. Join corners without a path to all places that they see.
+    edges = _edges(workspace, places, field, np.arange(num_goals, len(points)), _NUM_WAYS)
     length, onward = shortest(edges)
-    lost = np.flatnonzero(~np.isfinite(length))
-    if lost.size:
+    if len(lost := np.flatnonzero(~np.isfinite(length))):
         everything = _edges(workspace, places, np.zeros(len(points)), lost, len(points))
         edges = _unique_pairs(np.concatenate([edges, everything]))
         length, onward = shortest(edges)
-    # 2. Join each place to the place after the next one if visible, until there are no new edges.
+    # 3. Join each place to the place after the next one if visible, until there are no new edges. Skip pairs that
+    #    were tried in the last round.
     tried = np.full(len(points), -1)
     while True:
         after_next = onward[onward]
-        place = np.flatnonzero((onward >= count) & (after_next != tried))
-        pairs, tried = _unique_pairs(np.stack([place, after_next[place]], axis=1)), after_next
+        place = np.flatnonzero((onward >= num_goals) & (after_next != tried))
+        pairs = _unique_pairs(np.stack([place, after_next[place]], axis=1))
+        tried = after_next
         joined = _unique_pairs(np.concatenate([edges, pairs[workspace.is_visible(*points[pairs.T])]]))
         if len(joined) == len(edges):
             break
         edges = joined
         length, onward = shortest(edges)
-    # 3. Find the first place of each start: a goal, else a place where the path can turn, else any place. The path to
-    #    another goal than the nearest visible goal may be shorter.
+    # 4. Find the first place of each start: the nearest visible goal, else a place where the path may turn, else any
+    #    place in sight (a cone without sides: normals of 0). With several goals, places where the path may turn are
+    #    compared also for starts that see a goal, since a path to another goal may be shorter.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
     goal_ways = first_visible_in_parts(
         lambda rows: distances_between(x[rows], goals),
         len(x),
-        count,
+        num_goals,
         lambda point, goal: workspace.is_visible(x[point], goals[goal]),
     )
     to_place, least = (column[:, 0] for column in goal_ways)
-    reached = count + np.flatnonzero(np.isfinite(length[count:]))
-    any_side = np.zeros((2, len(reached), 2))
-    anywhere = TurnPoints(reached, points[reached], length[reached], any_side, places.slack)
-    for turns, compares in ((find_turn_points(places, length, onward, count), count > 1), (anywhere, False)):
-        pending = np.flatnonzero((to_place < 0) | compares)
-        here = x[pending]
-        place, by_place = turns.first_visible(
-            here, lambda point, place, here=here: workspace.is_visible(here[point], points[place])
-        )
+    reached = num_goals + np.flatnonzero(np.isfinite(length[num_goals:]))
+    anywhere = TurnPoints(reached, points[reached], length[reached], np.zeros((2, len(reached), 2)), places.slack)
+    at_corners = find_turn_points(places, length, onward, num_goals)
+    for turns, may_be_shorter in ((at_corners, num_goals > 1), (anywhere, False)):
+        pending = np.flatnonzero((to_place < 0) | may_be_shorter)
+        a = x[pending]
+        place, by_place = turns.first_visible(a, lambda i, place, a=a: workspace.is_visible(a[i], points[place]))
         to_place[pending] = np.where(by_place < least[pending], place, to_place[pending])
     first = np.full(len(starts), -1)
     first[is_free] = to_place
     # A start at a corner continues to the corner's next place.
-    at_corner = (first >= count) & (starts == points[first]).all(axis=1)
+    at_corner = (first >= num_goals) & (starts == points[first]).all(axis=1)
     first[at_corner] = onward[first[at_corner]]
-    vertices, counts = chains_of(starts, points, onward, first, count)
+    # 5. Follow the next places.
+    vertices, counts = chains_of(starts, points, onward, first, num_goals)
     lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
     return vertices, counts, lengths, lengths, is_free
 
@@ -214,11 +217,11 @@ def _edges(
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         # The distance to each place plus its cost-to-go; NaN where no shortest path can go.
-        here = corners[rows]
-        score = distances_between(places.points[here], places.points) + field
-        pairs = here[:, None], np.arange(len(places.points))
+        corner = corners[rows]
+        score = distances_between(places.points[corner], places.points) + field
+        pairs = corner[:, None], np.arange(len(places.points))
         option = np.isfinite(score) & places.is_tangent(*pairs) & places.is_tangent(*pairs[::-1])
-        option[np.arange(len(here)), here] = False
+        option[np.arange(len(corner)), corner] = False
         return np.where(option, score, np.nan)
 
     def sees(row: Int[np.ndarray, " pairs"], place: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:

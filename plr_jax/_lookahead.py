@@ -25,11 +25,10 @@ from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds,
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Points: TypeAlias = Float[np.ndarray, "_ dim"]
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
+Counts: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 # Vertices, counts, lengths, costs, and whether starts are free.
-Chains: TypeAlias = tuple[
-    Float[np.ndarray, "n longest dim"], Int[np.ndarray, " n"], Numbers, Numbers, Bool[np.ndarray, " n"]
-]
+Chains: TypeAlias = tuple[Float[np.ndarray, "n longest dim"], Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
 
 
 def chains_of(
@@ -40,6 +39,8 @@ def chains_of(
     A path leads from its start to the node ``first``, then from each node to the node ``onward[node]``, until a goal.
     The goals are the first ``num_goals`` nodes.
     """
+    # Follow all paths at once; those that have arrived (or have no node, -1) repeat their last node. The vertices are
+    # the start, the nodes and the goal, unless the start is the goal.
     chain = [first]
     while (chain[-1] >= num_goals).any():
         chain.append(np.where(chain[-1] >= num_goals, onward[chain[-1]], chain[-1]))
@@ -49,17 +50,25 @@ def chains_of(
     return vertices, np.where(places[:, -1] >= 0, counts, 0)
 
 
-_CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions
-_STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # relative errors allowed for the costs of steps, and of final paths
+_CIRCLE = 64  # directions in a plane
+_PER_AXIS = 32  # directions per axis in more dimensions
+# Costs of motions:
+_STEP_TOLERANCE = 0.01  # relative error allowed for the costs of steps
+_LAST_TOLERANCE = 0.001  # relative error allowed for the costs of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
 _LEAST_PART = 1 / 16  # parts of a motion shorter than this share may have the absolute error of such a share
-_MOST_HALVINGS = 40
-_LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain, and number of lengths, each half as long
+_MOST_HALVINGS = 40  # of a motion whose cost is integrated
+# Steps:
+_LONGEST = 1 / 4  # longest step, as a share of the domain
+_NUM_LENGTHS = 8  # number of lengths of steps, each half as long as the one before
 _FALL = 0.1  # least fall of the field along a step, as a share of the step's cost
 _LONGER = 0.01  # loss of slope that is accepted for a step twice as long
 _DEARER = 0.02  # a step may cost more than its estimate by this share
-_MOST_EXPANSIONS = 1000  # limit of the search that leaves a local minimum
-_CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of that search's cells, as a share of the domain; its steps, in sides
+# The search that leaves a local minimum:
+_MOST_EXPANSIONS = 1000
+_CELL = 1 / 32  # side of a cell, as a share of the domain
+_CELL_STEPS = (1, 2, 4)  # lengths of steps, in sides of a cell
+# Cheaper paths:
 _KNOWN = 1e-3  # estimates with a smaller relative error are trusted to find the best place
 _GAIN = 1e-6  # least saving of a change, as a share of the cost of the segments
 _WIDEST_SHIFT = 1 / 32  # first shift of a node, as a share of the domain
@@ -67,7 +76,9 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: of all axes, and of each block alone, such as the position."""
+    """Return motions of cost 1 in many directions of the space, and of each block of axes, such as the position."""
+    # Directions in a plane are evenly spaced. In more dimensions, they are the axes, and normally distributed points
+    # divided by their norms, each with its opposite.
     changes = []
     for axes in sorted({tuple(range(motion_cost.dof)), *(axes for axes, _ in motion_cost.blocks)}):
         dim = len(axes)
@@ -78,8 +89,7 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
             directions = np.eye(dim)
             if dim > 2:
                 num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
-                quantiles = lattice(num, np.full(dim, 0.5 / num))
-                directions = np.concatenate([directions, ndtri(quantiles)])
+                directions = np.concatenate([directions, ndtri(lattice(num, np.full(dim, 0.5 / num)))])
                 directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
             directions = np.concatenate([directions, -directions])
             directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -114,8 +124,10 @@ class PathCosts:
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
         domain, motion_cost = self.space.domain, self.space.motion_cost
-        cost, change = np.zeros(len(q0)), domain.difference(q1, q0)
-        # 1. Cut motions where they cross the seams of periodic axes.
+        cost = np.zeros(len(q0))
+        change = domain.difference(q1, q0)
+        # 1. Cut motions where they cross the seams of periodic axes, at the times t. Intervals have a motion, and
+        #    begin and end as shares of it.
         seam = np.where(change < 0, domain.lo, domain.hi)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.where(domain.periodic, (seam - domain.wrapped(q0)) / change, 0.0)
@@ -123,7 +135,7 @@ class PathCosts:
         ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
         motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & np.any(change != 0, axis=1)[:, None])
         begin, end = ends[motion, place], ends[motion, place + 1]
-        # 2. Halve the intervals whose cost is not accurate enough.
+        # 2. Use the midpoint rule, and halve the intervals whose cost is not accurate enough.
         for halvings in range(_MOST_HALVINGS + 1):
             middle = (begin + end) / 2
             q = domain.wrapped(q0[motion] + middle[:, None] * change[motion])
@@ -146,16 +158,19 @@ class PathCosts:
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
     """Find paths from all starts down a field to a goal, and make them cheaper."""
+    # 1. Check the starts and the goal.
     domain = costs.space.domain
     starts, goal = (domain.settled(q, costs.space.is_free) for q in (starts, goal))
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
         raise ValueError(f"The goal must be a free configuration of the space, got {goal.tolist()}.")
     is_free = costs.space.is_free(starts)
+    # 2. Step down the field. Skip nodes, shift the others, and skip again.
     nodes, onward, nodes_of_starts = _Lookahead(field, costs, goal).follow(starts[is_free])
     onward = _skip_nodes(costs, nodes, onward)
     nodes = _shift_nodes(costs, nodes, onward, nodes_of_starts)
     onward = _skip_nodes(costs, nodes, onward)
+    # 3. Measure the paths.
     first = np.full(len(starts), -1)
     first[is_free] = onward[nodes_of_starts]
     vertices, counts = chains_of(starts, nodes, onward, first)
@@ -188,34 +203,41 @@ class _Lookahead:
     def values(self, x: Points) -> Float[np.ndarray, " n"]:
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
-        if inside.any():
-            num = int(np.count_nonzero(inside))
+        if num := int(np.count_nonzero(inside)):
             batch = padded(x[inside], padded_size(num), x[inside][-1])
             values[inside] = as_distances("The field", self.field(batch), batch)[:num]
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, " n"]]:
         # Return nodes (goal first), each node's next node (-1: stuck), and the starts' nodes.
+        #
+        # Indices of nodes: 0 is the goal. In each round, the nodes x begin at `num`, then inner nodes of detours at
+        # `inner`; the nodes x of the next round follow.
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
-        x, value, num = starts, self.values(starts), 1
+        x, value = starts, self.values(starts)
+        num = 1
         while len(x):
+            # 1. Take the best step from each node, or search for a detour out of a local minimum.
             y, status = self._step(x, value)
             detours = {}  # for stuck paths, the nodes that lead out of the local minimum
             for row in np.flatnonzero(status < 0).tolist():
-                chain = self._escape(x[row], value[row] - _FALL * self.shortest)
-                if chain is not None:
+                if (chain := self._escape(x[row], value[row] - _FALL * self.shortest)) is not None:
                     y[row], status[row] = chain[-1], 0
                     if len(chain) > 1:
                         detours[row] = chain[:-1]
-            goes_on, inner = status == 0, num + len(x)
+            # 2. Find the index of the next node of each node, as if there were no detours.
+            goes_on = status == 0
+            inner = num + len(x)
             num = inner + sum(map(len, detours.values()))
             next_ = np.where(goes_on, num - 1 + np.cumsum(goes_on), np.where(status < 0, -1, 0))
             nodes.append(x)
             onward.append(next_)
+            # 3. Lead each detour through its inner nodes to the next node. This also changes `next_` in `onward`.
             for row, detour in detours.items():
                 nodes.append(detour)
                 onward.append(np.append(inner + np.arange(1, len(detour)), next_[row]))
-                next_[row], inner = inner, inner + len(detour)
+                next_[row] = inner
+                inner += len(detour)
             x, value = y[goes_on], self.values(y[goes_on])
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
@@ -225,7 +247,9 @@ class _Lookahead:
         promised = np.empty((len(x), num_ways))
 
         def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
-            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long.
+            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long. The slope
+            # is (value here - value there) / cost, from 0 to 1. NaN for steps along which the field does not fall
+            # enough.
             here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
@@ -242,8 +266,7 @@ class _Lookahead:
             return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
 
         def leads_to(x: Points, way: Int[np.ndarray, " n"]) -> Points:
-            there = self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1])
-            return np.where(way[:, None] == 0, self.goal, there)
+            return np.where(way[:, None] == 0, self.goal, self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1]))
 
         def sees(row: Int[np.ndarray, " pairs"], way: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
             here, there = x[row], leads_to(x[row], way)
@@ -263,6 +286,7 @@ class _Lookahead:
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width
         if self.space.are_free(x[None], center[None])[0]:
+            # The path from the center must fall by a cell's side, at most to half of the value, to leave the minimum.
             if (key := cell.tobytes()) not in self.escapes:
                 value = float(self.values(center[None])[0])
                 self.escapes[key] = self._search_below(center, value - min(self.side, value / 2))
@@ -274,18 +298,20 @@ class _Lookahead:
 
     def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
         """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""
-        nodes, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
+        nodes, parent, frontier = [x], [-1], [(0.0, 0)]  # the frontier has the field and the index of nodes
+        claimed = set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
                 return None
             _, node = heapq.heappop(frontier)
-            # Keep the lowest reachable configuration in each unclaimed cell, and claim the cell.
+            # 1. Find configurations around the node in unclaimed cells that it sees, the lowest first.
             y = self.domain.wrapped(nodes[node] + self.cell_steps)
             values = self.values(y)
             order = np.argsort(values, kind="stable")
             order = order[np.isfinite(values[order])]
             order = order[np.array([cell not in claimed for cell in self._cells(y[order])], dtype=bool)]
             order = order[self.space.are_free(np.broadcast_to(nodes[node], y[order].shape), y[order])]
+            # 2. Keep the lowest one in each cell, and claim the cell.
             lowest = len(nodes)
             for i, cell in zip(order.tolist(), self._cells(y[order]), strict=True):
                 if cell not in claimed:
@@ -293,6 +319,7 @@ class _Lookahead:
                     nodes.append(y[i])
                     parent.append(node)
                     heapq.heappush(frontier, (float(values[i]), len(nodes) - 1))
+            # 3. If the lowest of all is low enough, follow the parents back to x.
             if len(order) and values[order[0]] < below:
                 node, chain = lowest, []
                 while node > 0:
@@ -308,9 +335,11 @@ class _Lookahead:
 
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
     """Return each node's next node on its path, after skipping nodes where a straight motion is free and cheaper."""
+    # In each round, every node tries to skip its next node: to go straight to the node after it. A pair is tried
+    # once.
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
-    leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)
+    leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)  # cost from each node to its next node
     tried = np.full(len(nodes), -1)
     while True:
         ahead = onward[onward]
@@ -322,19 +351,22 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         straight = costs.integrals(nodes[rows], nodes[ahead[rows]], _STEP_TOLERANCE)
         legs = leg[rows], leg[onward[rows]]
         better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # a segment of no cost
-        rows, straight = rows[better], straight[better]
-        onward[rows], leg[rows] = ahead[rows], straight
+        onward[rows[better]], leg[rows[better]] = ahead[rows[better]], straight[better]
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, " paths"]) -> Points:
     """Shift the nodes of paths, except ``first`` and the goal, so that the segments to their neighbors cost least."""
+    # 1. Follow all paths to the last node before the goal. Each inner node is on one path only.
     nodes, motion_cost = nodes.copy(), costs.space.motion_cost
-    before, index = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
+    before, index = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, number of nodes before
     node, count = first, 0
     while len(node):
-        node, count = node[onward[node] > 0], count + 1
-        before[onward[node]], index[onward[node]] = node, count  # inner nodes are on one path each
+        node = node[onward[node] > 0]
+        count += 1
+        before[onward[node]] = node
+        index[onward[node]] = count
         node = onward[node]
+    # 2. Shift the nodes, by shorter and shorter distances.
     extent = float((motion_cost.scale * costs.space.domain.width).max())
     for shift in _WIDEST_SHIFT * extent / 2.0 ** np.arange(_NUM_SHIFTS):
         changes = shift * unit_motions(motion_cost)
@@ -348,6 +380,7 @@ def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
     """Return ``x``, or ``x`` plus one of ``changes`` if that is a cheaper place between ``before`` and ``after``."""
+    # The result is the best of all changes by estimates if these are accurate (`is_known`), else by exact costs.
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, " n"]:
@@ -358,19 +391,20 @@ def _cheapest_places(
         return (costs.estimates(a, to_x) + costs.estimates(x, to_b))[:, 0]
 
     cost, estimate = exact(before, x, after), estimated(before, x, after)
-    is_known, best = np.abs(estimate - cost) <= _KNOWN * cost, x.copy()
+    is_known = np.abs(estimate - cost) <= _KNOWN * cost
+    best = x.copy()
     for trusted, now, through in ((True, estimate, estimated), (False, cost, exact)):
         rows = np.flatnonzero(is_known == trusted)
 
-        def prices(some: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "some k"]:
+        def prices(part: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "part k"]:
             # Costs of the ways through changed places; NaN if they are not cheaper than `now`.
-            y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
+            y = domain.wrapped(x[rows[part], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
-            a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))
+            a, b = (np.repeat(ends[rows[part]], k, axis=0)[inside] for ends in (before, after))
             price = np.full(len(y), np.nan)
             price[inside] = through(a, y[inside], b)
             price = price.reshape(-1, k)
-            return np.where(price <= (1 - _GAIN) * now[rows[some], None], price, np.nan)
+            return np.where(price <= (1 - _GAIN) * now[rows[part], None], price, np.nan)
 
         def sees(row: np.ndarray, way: np.ndarray, rows=rows) -> Bool[np.ndarray, " pairs"]:
             y = domain.wrapped(x[rows[row]] + changes[way])
@@ -378,5 +412,5 @@ def _cheapest_places(
 
         way = first_visible_in_parts(prices, len(rows), k, sees)[0][:, 0]
         best[rows] = np.where(way[:, None] < 0, x[rows], domain.wrapped(x[rows] + changes[way]))
-    is_cheaper = exact(before, best, after) <= (1 - _GAIN) * cost
-    return np.where(is_cheaper[:, None], best, x)
+    # In the end, only exact costs count.
+    return np.where((exact(before, best, after) <= (1 - _GAIN) * cost)[:, None], best, x)

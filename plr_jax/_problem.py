@@ -158,8 +158,8 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
     else:
 
         def is_free(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-            rooms = [_room(workspace, robot, np.append(point, heading)) for point in x]
-            return np.array([min(room[:2]) >= -workspace.tolerance for room in rooms])
+            clearances = [_clearances(workspace, robot, np.append(point, heading)) for point in x]
+            return np.array([min(inside, clearance) >= -workspace.tolerance for inside, clearance, _ in clearances])
 
         reach = robot.circumscribed_radius * max(1.0, np.abs(heading).max(initial=0.0))
         position = workspace.bounds.settled(position, is_free, reach)
@@ -186,8 +186,7 @@ def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.n
         elif configurations.shape == (len(robots), 3):
             reason = ": no robot can turn, so each row is (x, y)"
         raise ValueError(f"{name} must have shape {shape}, got {configurations.shape}{reason}.")
-    broken = np.flatnonzero(~np.isfinite(configurations).all(axis=1))
-    if broken.size:
+    if len(broken := np.flatnonzero(~np.isfinite(configurations).all(axis=1))):
         raise ValueError(f"{name} must be finite, got {configurations[broken[0]]} for robot {broken[0]}.")
     configurations.flags.writeable = False
     return configurations
@@ -197,21 +196,17 @@ def _require_free(problem: Problem, name: str) -> None:
     """Raise a ``ValueError`` if a robot leaves the bounds or overlaps an obstacle at its start or goal."""
     workspace = problem.workspace
     for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
-        inside, clearance, obstacle = _room(workspace, robot, q)
+        inside, clearance, obstacle = _clearances(workspace, robot, q)
         if inside < -workspace.tolerance:
             is_in = workspace.bounds.contains(q[None, :2])[0]
-            part = "" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
-            raise ValueError(
-                f"Robot {i} {_VERBS[name]} outside the bounds{part or f' by {-inside:.3g} at {q.tolist()}'}."
-            )
+            place = f" by {-inside:.3g} at {q.tolist()}" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
+            raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}.")
         if clearance < -workspace.tolerance:
-            raise ValueError(
-                f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} at {q.tolist()} "
-                f"(clearance {clearance:.3g})."
-            )
+            place = f"at {q.tolist()} (clearance {clearance:.3g})"
+            raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}.")
 
 
-def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
+def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
     """Return how far a robot is inside the bounds, its clearance of the obstacle that it overlaps most, and which."""
     core, radius, obstacles = footprint(robot, q), robot.rounding, np.array(workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)
@@ -232,12 +227,9 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
     a, b = a[a < b], b[a < b]
     close = shapely.distance(cores[a], cores[b]) <= rounding[a] + rounding[b]
     for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
-        clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
-        if clearance < -problem.workspace.tolerance:
-            raise ValueError(
-                f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
-                f"{configurations[j].tolist()} (clearance {clearance:.3g})."
-            )
+        if (clearance := separation(cores[i], cores[j]) - rounding[i] - rounding[j]) < -problem.workspace.tolerance:
+            pair = f"{configurations[i].tolist()} and {configurations[j].tolist()}"
+            raise ValueError(f"Robots {i} and {j} overlap at their {name}: {pair} (clearance {clearance:.3g}).")
 
 
 def _require_connected(problem: Problem) -> None:
@@ -254,16 +246,14 @@ def _require_connected(problem: Problem) -> None:
         first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
         if not np.isin(first, last).any():
             body = "it" if radius == 0 else f"a disc of radius {robot.inscribed_radius:g}"
-            raise ValueError(
-                f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
-                f"{problem.starts[i].tolist()}: obstacles leave no path for {body} between them."
-            )
+            reason = f"obstacles leave no path for {body} between them"
+            start, goal = problem.starts[i].tolist(), problem.goals[i].tolist()
+            raise ValueError(f"Robot {i} has its goal {goal} cut off from its start {start}: {reason}.")
 
 
 def separation(a: Any, b: Any) -> float:
     """Return the distance between Shapely geometries; if they overlap, minus a depth (approximate for areas)."""
-    distance = shapely.distance(a, b)
-    if distance > 0 or a.geom_type == b.geom_type == "Point":
+    if (distance := shapely.distance(a, b)) > 0 or a.geom_type == b.geom_type == "Point":
         return distance
     if "Point" in (a.geom_type, b.geom_type):
         point, shape = (a, b) if a.geom_type == "Point" else (b, a)

@@ -71,22 +71,18 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         path = as_path(problem, path)
     except ValueError as error:
         return ValidationReport(False, np.nan, np.nan, str(error))
-    broken = np.argwhere(~np.isfinite(path).all(axis=2))
-    if len(broken):
+    if len(broken := np.argwhere(~np.isfinite(path).all(axis=2))):
         step, i = map(int, broken[0])
         message = f"Robot {i} has a configuration that is not finite at step {step}."
         return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
     cost, encounters = path_cost(problem, path), _encounters(problem, path, margin)
-    colliding = [encounter for encounter in encounters if encounter.clearance < -encounter.tolerance]
-    if colliding:
+    if colliding := [encounter for encounter in encounters if encounter.smallest.min() < -encounter.tolerance]:
         return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
-    closest = min(encounters, key=lambda encounter: encounter.clearance)
-    clearance = closest.clearance
-    fault = _find_crossing(problem, path, margin) or _find_wrong_end(problem, path)
-    if fault:
+    closest = min(encounters, key=lambda encounter: encounter.smallest.min())
+    clearance = float(closest.smallest.min())
+    if fault := _find_crossing(problem, path, margin) or _find_wrong_end(problem, path):
         i, when, message = fault
-        where = tuple(path[int(when), i, :2].tolist())
-        return ValidationReport(False, cost, clearance, message, (i,), when, where)
+        return ValidationReport(False, cost, clearance, message, (i,), when, tuple(path[int(when), i, :2].tolist()))
     who, step = closest.who, closest.smallest.argmin()
     pair = f" {who[0]} to an obstacle or the bounds" if len(who) == 1 else f"s {who[0]} and {who[1]}"
     message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
@@ -111,7 +107,8 @@ class _Encounter:
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return the signed distance between both bodies at times ``when``, negative if they overlap."""
-        bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
+        bodies = _bodies(self.robot, _at(self.path, when))
+        others = np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
         distance = np.asarray(shapely.distance(bodies, others))
@@ -127,8 +124,10 @@ class _Encounter:
         return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
 
     def swept(self, motion: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        # Without turns, the robot sweeps the convex hull of both its ends.
-        start, others = _corners(self.robot, self.path[motion]), np.full(len(motion), self.other)
+        # Return the smallest clearance in motions without turns, in which the robot sweeps the convex hull of both
+        # its ends. With another robot, these are its ends relative to that robot.
+        start = _corners(self.robot, self.path[motion])
+        others = np.full(len(motion), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, self.other_path[motion])
         corners = np.concatenate([start, start + self.velocity[motion, None]], axis=1)
@@ -160,10 +159,16 @@ class _Encounter:
     def smallest(self) -> Float[np.ndarray, " motions"]:
         """Upper bound of the smallest clearance in each motion."""
         # If no motion collides, the minimum over all motions is accurate to `tolerance`.
-        at_rows, turns = self.clearances(np.arange(len(self.path), dtype=float)), self.rim_speeds > 0
-        smallest, straight = np.minimum(at_rows[:-1], at_rows[1:]), np.flatnonzero(~turns)
+        # 1. Motions without turns: exact, as the robot's swept area. Others: at first, the clearance at both ends.
+        at_rows = self.clearances(np.arange(len(self.path), dtype=float))
+        smallest = np.minimum(at_rows[:-1], at_rows[1:])
+        turns = self.rim_speeds > 0
+        straight = np.flatnonzero(~turns)
         smallest[straight] = self.swept(straight)
-        motion, begin, size = np.flatnonzero(turns), np.zeros(turns.sum()), 1.0
+        # 2. Halve intervals of the motions with turns. In an interval of length `size`, the clearance is at least
+        #    that in the middle minus max_rate * size / 2. So the bounds tighten until all intervals are dropped.
+        motion, begin = np.flatnonzero(turns), np.zeros(turns.sum())
+        size = 1.0
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
@@ -177,17 +182,15 @@ class _Encounter:
         return smallest
 
     @property
-    def clearance(self) -> float:
-        return float(self.smallest.min())
-
-    @property
     def first_collision(self) -> int:  # index of the first motion that collides
         return int((self.smallest < -self.tolerance).argmax())
 
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
-        motion, begin, size = self.first_collision, np.zeros(1), 1.0
+        # Halve intervals as in `smallest`, but keep those that may collide, up to the first whose middle does.
+        motion, begin = self.first_collision, np.zeros(1)
+        size = 1.0
         while True:
             middle = self.clearances(motion + begin + size / 2)
             near = middle - self.max_rates[motion] * size / 2 < -self.tolerance
@@ -201,20 +204,17 @@ class _Encounter:
             begin = np.repeat(begin, 2)
             begin[1::2] += size
 
-    @property
-    def depth(self) -> float:
-        """Smallest clearance at some moments of the first motion that collides: about minus the overlap."""
-        times = np.append(self.first_collision + np.linspace(0.0, 1.0, 65), self.first_moment)
-        return min(float(self.clearances(times).min()), -self.tolerance)
-
 
 def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
-    """Pair each robot with all that is not free space, and with robots near enough to collide or to be closest."""
+    """Return the pairs whose clearance must be measured.
+
+    Each robot is paired with the blocked space. Two robots are paired if they may collide, or may have the smallest
+    clearance of the whole path.
+    """
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
-    if len(path) == 1:
-        path = np.repeat(path, 2, axis=0)
-    # The blocked region includes a margin beyond the bounds and the path.
+    path = np.repeat(path, 2, axis=0) if len(path) == 1 else path
+    # 1. Pair each robot with the blocked space. The blocked region includes a margin beyond the bounds and the path.
     lo = np.minimum(workspace.bounds.lo, path[..., :2].min(axis=(0, 1))) - workspace.bounds.width
     hi = np.maximum(workspace.bounds.hi, path[..., :2].max(axis=(0, 1))) + workspace.bounds.width
     blocked = shapely.difference(shapely.box(*lo, *hi), workspace.free_space)
@@ -223,12 +223,14 @@ def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]
     for j, robot in enumerate(robots):
         depth = margin if robot.circumscribed_radius <= tolerance else tolerance
         encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, depth)
-    smallest = min(encounter.clearance for encounter in encounters.values())
+    # 2. Pair robots, in the order of lower bounds of their clearances, until these exceed the smallest clearance so
+    #    far.
+    smallest = min(encounter.smallest.min() for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
         if least > max(smallest, 0.0) + tolerance:
             break
         encounters[j, i] = _Encounter((i, j), robots[i], path[:, i], robots[j], path[:, j], tolerance)
-        smallest = min(smallest, encounters[j, i].clearance)
+        smallest = min(smallest, encounters[j, i].smallest.min())
     return [encounters[who] for who in sorted(encounters)]
 
 
@@ -241,12 +243,13 @@ def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, 
     radius = np.array([robot.circumscribed_radius for robot in robots])
     clearances = []
     for j in range(1, len(robots)):
+        # The offset of the reference points moves straight from `begin` by `change`: find its point nearest to 0.
         offset = path[:, :j, :2] - path[:, j, None, :2]
         begin, change = offset[:-1], np.diff(offset, axis=0)
         squared = (change**2).sum(axis=2)
         t = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-        nearest = begin + t[..., None] * change
-        least = np.sqrt((nearest**2).sum(axis=2).min(axis=0)) - radius[:j] - radius[j]
+        squared = ((begin + t[..., None] * change) ** 2).sum(axis=2)
+        least = np.sqrt(squared.min(axis=0)) - radius[:j] - radius[j]
         clearances += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
     return sorted(clearances)
 
@@ -261,9 +264,8 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:
     """Return the most that a robot's corners move by turning, in each motion."""
-    if robot.dof == 2:
-        return np.zeros(len(path) - 1)
-    return np.linalg.norm(robot.core, axis=1).max() * np.abs(shorter_turn(path[:-1, 2], path[1:, 2]))
+    turn = shorter_turn(path[:-1, 2], path[1:, 2]) if robot.dof == 3 else np.zeros(len(path) - 1)
+    return np.linalg.norm(robot.core, axis=1).max() * np.abs(turn)
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
@@ -282,10 +284,9 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
     """Find the first passage of a point robot through a wall or a contact; return robot, time and message."""
-    workspace, crossings = problem.workspace, []
-    for i, robot in enumerate(problem.robots):
-        if robot.circumscribed_radius <= _tolerance(workspace):
-            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
+    most = _tolerance(problem.workspace)
+    points = [i for i, robot in enumerate(problem.robots) if robot.circumscribed_radius <= most]
+    crossings = [(when, i) for i in points for when in _crossings(problem.workspace, path[:, i, :2], margin)[:1]]
     if not crossings:
         return None
     when, i = min(crossings)
@@ -299,29 +300,33 @@ def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin
     Thin walls and contacts part the free space within ``margin`` of a motion. The point is in the part nearest to its
     start. It may only change to parts that overlap this one where the next motion begins.
     """
+    # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
     points: Any = shapely.points(track)
-    contacts, crossings, part_before = workspace.boundary.contact_tree, [], None
+    contacts = workspace.boundary.contact_tree
     is_doubtful = ~shapely.covers(workspace.free_space, segments)
     is_doubtful[contacts.query(segments, predicate="dwithin", distance=margin)[0]] = True
-    # At both ends of its path, a point near a contact is on all sides. Between two doubtful motions, it may be inside
-    # a thin wall. Elsewhere, it is on the side of the nearest part.
+    # 2. In each row, find which parts the point may be in: in a *loose* row, all within the margin; else the nearest.
+    #    A point near a contact at an end of its path is on all sides. Between two doubtful motions, it may be inside
+    #    a thin wall.
     is_loose = np.pad(is_doubtful[:-1] & is_doubtful[1:], 1)
     at_contact = contacts.query(points[[0, -1]], predicate="dwithin", distance=margin)[0]
-    is_loose[-at_contact] = True
+    is_loose[-at_contact] = True  # index 0 of both points is row 0, index 1 is row -1
+    # 3. Follow the point from part to part.
+    crossings, part_before = [], None
     for k in np.flatnonzero(is_doubtful).tolist():
         parts = shapely.get_parts(shapely.intersection(workspace.free_space, shapely.buffer(segments[k], margin)))
         parts = parts[shapely.area(parts) > 0]
         group = part_groups(parts, workspace.squeeze)
-        away = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
-        most = [margin if is_loose[k + end] else away[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)]
+        gaps = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
+        most = [margin if is_loose[k + end] else gaps[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)]
         if part_before is None or not is_doubtful[k - 1]:
-            is_same_part = away[0] <= most[0]
+            is_reached = gaps[0] <= most[0]
         else:
-            is_same_part = shapely.area(shapely.intersection(parts, part_before)) > 0
-        is_same_part = np.isin(group, group[is_same_part]) & (away[1] <= margin)
-        part_before = shapely.union_all(parts[is_same_part])
-        if not (is_same_part & (away[1] <= most[1])).any():
+            is_reached = shapely.area(shapely.intersection(parts, part_before)) > 0
+        is_reached = np.isin(group, group[is_reached]) & (gaps[1] <= margin)
+        part_before = shapely.union_all(parts[is_reached])
+        if not (is_reached & (gaps[1] <= most[1])).any():
             crossings.append(k)
     return crossings
 
@@ -336,7 +341,11 @@ def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | No
 
 
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
-    workspace, when, depth = problem.workspace, collision.first_moment, collision.depth
+    workspace = problem.workspace
+    when = collision.first_moment
+    # The smallest clearance at some moments of the first motion that collides: about minus the overlap.
+    times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
+    depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()
     event = f"Robots {collision.who[0]} and {collision.who[-1]} collide"

@@ -70,12 +70,9 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     distance = as_distances("The distance function", distance_fn(x.copy()), x)
     answer = as_values("The approximation", approximation(x.copy()), len(x))
     reachable, answered = np.isfinite(distance), np.isfinite(answer)
-    is_compared = reachable & answered
-    if not is_compared.any():
-        raise ValueError(
-            f"No error is defined: of {len(x)} points, the distance function is finite at {reachable.sum()}, "
-            "and the approximation is finite at none of these."
-        )
+    if not (is_compared := reachable & answered).any():
+        finite = f"of {len(x)} points, the distance function is finite at {reachable.sum()}"
+        raise ValueError(f"No error is defined: {finite}, and the approximation is finite at none of these.")
     error = np.abs(answer[is_compared] - distance[is_compared])
     worst = int(np.argmax(error))
     return ErrorReport(

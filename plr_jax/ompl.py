@@ -82,14 +82,11 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
 def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
     """Return a function from states of an OMPL space to coordinates; ``ValueError`` for an unknown space."""
-    axes = range(dim)
     if isinstance(space, base.RealVectorStateSpace) and space.getDimension() >= dim:
-        return lambda state: [state[axis] for axis in axes]
+        return lambda state: [state[axis] for axis in range(dim)]
     if isinstance(space, base.SE2StateSpace) and dim == 2:
         return lambda state: (state.getX(), state.getY())
     if isinstance(space, base.SE2StateSpace) and dim == 3:
         return lambda state: (state.getX(), state.getY(), state.getYaw())
-    raise ValueError(
-        f"coordinates must be given for a {type(space).__name__} of {space.getDimension()} dimensions and a PLR of "
-        f"{dim}: pass coordinates=lambda state: (...)."
-    )
+    dimensions = f"a {type(space).__name__} of {space.getDimension()} dimensions and a PLR of {dim}"
+    raise ValueError(f"coordinates must be given for {dimensions}: pass coordinates=lambda state: (...).")

@@ -18,7 +18,7 @@ from plr_jax._arrays import require_time
 from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 from plr_jax.robots.robot import Robot, shorter_turn
 
-_MAX_BISECTIONS = 12
+_MAX_BISECTIONS = 12  # of a motion, which divide the bulge by 4**12
 _CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clock; bounds the temporary memory
 _FEW = 24  # corners up to which the lowest one is searched exhaustively
 Column: TypeAlias = Float[np.ndarray, " n"]
@@ -57,9 +57,8 @@ class MovingBodies(NamedTuple):
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
     """Return a robot's straight motions from ``q0`` to ``q1``, still without its shape, which ``with_size`` adds."""
-    heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
-    if robot.dof == 3:
-        heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
+    heading = q0[:, 2] if robot.dof == 3 else np.zeros(len(q0))
+    turn = shorter_turn(q0[:, 2], q1[:, 2]) if robot.dof == 3 else np.zeros(len(q0))
     dx, dy = q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1]
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
@@ -69,26 +68,27 @@ def bisect(
 ) -> Booleans:
     """Bisect motions until ``kernel``, a separation test, is certain; return which pairs stay ``reach`` apart."""
     # A negative reach allows an overlap.
-    k, m = a.size.shape[-2], b.size.shape[-2]
-    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # distances need all pairs of corners
+    num_a, num_b = a.size.shape[-2], b.size.shape[-2]  # corners
+    size = max(1, _CORNERS // max(num_a + num_b, num_a * num_b if reach > 0 else 0))  # distances need all pairs
     apart = np.ones(len(a.x), dtype=bool)
-    # Depth-first order in small batches bounds the memory.
+    # Depth-first order in small batches bounds the memory. Entries of the stack: parts of the motions of both bodies,
+    # the pair of bodies of each part, and the number of bisections.
     waiting = [(a, b, np.arange(len(a.x)), 0)]
     while waiting:
-        a, b, owner, bisections = waiting.pop()
-        if len(owner) > size:
-            for part in (slice(begin, begin + size) for begin in range(0, len(owner), size)):
-                waiting.append((a.take(part), b.take(part), owner[part], bisections))
+        a, b, pair, bisections = waiting.pop()
+        if len(pair) > size:
+            for part in (slice(begin, begin + size) for begin in range(0, len(pair), size)):
+                waiting.append((a.take(part), b.take(part), pair[part], bisections))
             continue
         require_time(deadline, "all motions were tested")
         clear, hit = kernel(a, b, reach)
-        apart[owner[hit]] = False
-        unsure = ~clear & apart[owner]
+        apart[pair[hit]] = False
+        unsure = ~clear & apart[pair]  # nothing is left to decide for pairs that hit each other
         if bisections == _MAX_BISECTIONS:
-            apart[owner[unsure]] = False
+            apart[pair[unsure]] = False
         elif unsure.any():
             halves = a.take(unsure).bisected(), b.take(unsure).bisected()
-            waiting.append((*halves, np.repeat(owner[unsure], 2), bisections + 1))
+            waiting.append((*halves, np.repeat(pair[unsure], 2), bisections + 1))
     return apart
 
 
@@ -97,6 +97,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
     # In a unit of time, a function f falls below the smaller of f(0) and f(1) by at most max |f''| / 8. Along an axis
     # that turns with a, the offset of b has |f''| <= far * turn_a**2 + 2 * speed * |turn_a|, and the extent of b,
     # which turns by turn_b - turn_a against the axis, radius_b * (turn_b - turn_a)**2. The extent of a is constant.
+    # Here `far` is the largest distance of the reference points, and `speed` that of their relative motion.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -115,22 +116,29 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not."""
-    # Axes: the normals of all sides, that of the relative motion, and the direction between the nearest points.
+    # The gap along a unit vector n is min(n . q over corners q of b) - max(n . p over corners p of a). `gap` is the
+    # largest lower bound of the gap during the whole motion, over the axes below.
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
-    gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
     rim_a, rim_b = (np.hypot(*body.size).max(axis=0) for body in (a, b))
+    # 1. Both normals of the relative motion: fixed axes, against which both bodies turn.
     bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
     nx, ny = across_motion(a, b)
     gap = np.maximum(_smaller_gap(ends, nx, ny), _smaller_gap(ends, -nx, -ny)) - bulge
-    for first, last, riding in zip(*gaps, rotation_bounds(a, b, rim_a, rim_b), strict=True):
-        gap = np.maximum(gap, np.minimum(first, last).max(axis=0, initial=-np.inf) - riding)
+    # 2. The normals of all sides of a, then of b: axes that turn with the body.
+    gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
+    for first, last, bulge_of_body in zip(*gaps, rotation_bounds(a, b, rim_a, rim_b), strict=True):
+        gap = np.maximum(gap, np.minimum(first, last).max(axis=0, initial=-np.inf) - bulge_of_body)
+    # 3. The separation at each end of the motion: the largest gap along the normals, which is exact if the bodies
+    #    overlap (separating axis theorem). Else, for a positive reach, the distance. Two points have no normals.
     separation = [np.concatenate(side_gaps) for side_gaps in gaps]
     separation = [side_gaps.max(axis=0) if len(side_gaps) else np.zeros(len(a.x)) for side_gaps in separation]
     if reach > 0:
+        # 4. The direction between the nearest points: a fixed axis.
         (nx, ny), distances = _nearest(ends)
         gap = np.maximum(gap, _smaller_gap(ends, nx, ny) - bulge)
         separation = [np.where(depth < 0, depth, d) for depth, d in zip(separation, distances, strict=True)]
     clear = gap >= reach
+    # If nothing turns, no bulge is lost: motions that are not clear collide.
     return clear, (np.minimum(*separation) < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
 
 
@@ -154,6 +162,7 @@ def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
     """Return gaps between bodies with corners ``p`` and ``q`` along the outward normals of the sides of ``p``."""
+    # Corners are in counterclockwise order. On a side's line, n . p is equal at both corners: take the first.
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
@@ -169,30 +178,34 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
     if stride == 1:
         return heights.min(axis=1)
     # Heights fall and rise once around a convex body, so the lowest corner is within a stride of the lowest sample.
-    corner, (x, y) = stride * heights.argmin(axis=1), q.reshape(2, -1)
+    # Halve the stride until it is 1.
+    corner = stride * heights.argmin(axis=1)
+    x, y = q.reshape(2, -1)  # corner i of body j is at the index i * n + j
     while stride > 1:
         stride //= 2
         near = np.stack([corner, corner - stride, corner + stride]) % num_corners
         at = near * n + np.arange(n)
-        best = (nx * x[at] + ny * y[at]).argmin(axis=0)[None]
-        corner = np.take_along_axis(near, best, axis=0)[0]
+        corner = np.take_along_axis(near, (nx * x[at] + ny * y[at]).argmin(axis=0)[None], axis=0)[0]
     at = corner * n + np.arange(n)
     return nx * x[at] + ny * y[at]
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
     """Return the gap between two bodies along a fixed direction, at the end of the motion where it is smaller."""
-    gaps = [(nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends]
-    return np.minimum(*gaps)
+    return np.minimum(*((nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends))
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end."""
-    # The nearest point of the swept Minkowski difference is on a side minus a corner, or a corner's path minus one.
+    # Find the point nearest to the origin in the swept Minkowski difference, the differences q - p of the corners of
+    # both bodies. It is on a side of one body minus a corner of the other, at the begin or end, or on the path of a
+    # difference from begin to end. Difference [:, i, j] is q[j] - p[i]: sides of p lead along axis 1, sides of q
+    # along axis 2.
     first, last = (q[:, None] - p[:, :, None] for p, q in ends)
     at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
     between = nearest_on_segment(*first, *(last - first))
     _, k, m, n = first.shape
+    # In this order: k m points for sides of p, then of q, at the begin; as many at the end; k m on paths.
     points = np.array([*at_ends[0], *at_ends[1], between]).swapaxes(0, 1).reshape(2, 5 * k * m, n)
     squared = (points * points).sum(axis=0)
     x, y = np.take_along_axis(points, squared.argmin(axis=0)[None, None], axis=1)[:, 0]
@@ -204,35 +217,38 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
 
 def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     # ``reach`` is at most 0, since the distance of two boxes that do not overlap may exceed the gaps tested here.
+    # The gap along an axis is |u| - support: u is the offset of the centers along it, support the sum of half
+    # extents.
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
     rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)
-    of_a, of_b = rotation_bounds(a, b, rim_a, rim_b)
+    # 1. The normal of the relative motion, along which the offset is constant.
     nx, ny = across_motion(a, b)
     supports = [_support(a, at_a, nx, ny) + _support(b, at_b, nx, ny) for at_a, at_b in headings]
     bulge = (rim_a * a.turn**2 + rim_b * b.turn**2) / 8
     gap = np.abs(nx * (b.x - a.x) + ny * (b.y - a.y)) - np.maximum(*supports) - bulge
+    # 2. The axes along the sides, which turn with their boxes.
+    of_a, of_b = rotation_bounds(a, b, rim_a, rim_b)
     for (u0, support0), (u1, support1), bulge in zip(first, last, (of_a, of_a, of_b, of_b), strict=True):
         # The other body must be on the same side of the axis at both ends.
-        along = np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1)
-        gap = np.maximum(gap, along - bulge)
+        gap = np.maximum(gap, np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1) - bulge)
     clear = gap >= reach
-    # At each end, the axes along the sides decide (separating axis theorem).
+    # 3. At each end, the axes along the sides decide (separating axis theorem).
     separation = np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))
     return clear, (separation < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Return which motions certainly keep a point ``reach`` away from a box, and which certainly do not."""
+    # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
         u, v = c * x + s * y, c * y - s * x
         ends += [u, v]
         beside, above = np.abs(u) - a.size[0], np.abs(v) - a.size[1]
-        distances.append(  # signed distance to the box, negative inside
-            np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
-        )
+        outside = np.hypot(np.maximum(beside, 0), np.maximum(above, 0))
+        distances.append(outside + np.minimum(np.maximum(beside, above), 0))  # from the box, negative inside
     bulge, _ = rotation_bounds(a, b, *b.size)  # the point's radius is 0
     nearer = np.minimum(*distances)
     clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge
@@ -241,15 +257,16 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
     # Offsets of the centers, and sums of half extents, along both axes of ``a``, then of ``b``.
-    (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
+    # ``at_a`` and ``at_b`` are cosine and sine of the headings. An axis at the angle t from the length of a box meets
+    # the half extent length * |cos t| + width * |sin t| (half sides); c and s are these factors between the boxes.
+    (ca, sa), (cb, sb) = at_a, at_b
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)
-    return [
-        (ca * x + sa * y, length_a + length_b * c + width_b * s),
-        (ca * y - sa * x, width_a + length_b * s + width_b * c),
-        (cb * x + sb * y, length_b + length_a * c + width_a * s),
-        (cb * y - sb * x, width_b + length_a * s + width_a * c),
-    ]
+    axes = []
+    for (cos, sin), (length, width), (other_length, other_width) in ((at_a, a.size, b.size), (at_b, b.size, a.size)):
+        axes.append((cos * x + sin * y, length + other_length * c + other_width * s))
+        axes.append((cos * y - sin * x, width + other_length * s + other_width * c))
+    return axes
 
 
 def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Column:
@@ -263,6 +280,7 @@ def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: C
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)
+    # The gaps between segment and box along the segment's normal and along the box's axes (separating axis theorem).
     across = np.abs(x0 * dy - y0 * dx) - half_x * np.abs(dy) - half_y * np.abs(dx)
     across = np.divide(across, length, out=np.full_like(length, -np.inf), where=length > 0)
     beside_x = np.maximum(np.minimum(x0, x1), -np.maximum(x0, x1)) - half_x

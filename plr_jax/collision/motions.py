@@ -16,14 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import require_time
 from plr_jax._types import JointConfigurations
-from plr_jax.collision.bodies import (
-    Column,
-    bisect,
-    box_point_separation,
-    box_separation,
-    convex_separation,
-    moving_bodies,
-)
+from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -42,9 +35,9 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 class Circles(NamedTuple):
     """Circles in the plane, one for each entry of the arrays."""
 
-    x: Column
-    y: Column
-    radius: Column
+    x: Float[np.ndarray, " n"]
+    y: Float[np.ndarray, " n"]
+    radius: Float[np.ndarray, " n"]
 
 
 class TeamTrajectory:
@@ -75,20 +68,23 @@ class TeamTrajectory:
         Returns:
             The indices ``k`` and ``j`` of all pairs that may meet, both ``(m,)``, ordered by ``k``, then ``j``.
         """
-        x, y, radius = around
-        radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
-        near, size = [], max(1, _CHUNK // num_robots)
+        # Circles overlap if dx^2 + dy^2 < reach^2, computed in place (at last, `dx` holds the sum of squares), by
+        # blocks of circles and all robots.
+        radius = around.radius + self._size[i]
+        num_robots = len(self._size)
+        size = max(1, _CHUNK // num_robots)
+        near = []  # k * num_robots + j
         for first in range(0, max(1, len(first_row)), size):
-            rows = slice(first, first + size)
-            squared, along_y, reach = (table[first_row[rows]] for table in (self._x, self._y, self._radius))
-            for difference, center in ((squared, x), (along_y, y)):
-                difference -= center[rows, None]
+            block = slice(first, first + size)
+            dx, dy, reach = (table[first_row[block]] for table in (self._x, self._y, self._radius))
+            for difference, center in ((dx, around.x), (dy, around.y)):
+                difference -= center[block, None]
                 difference *= difference
-            squared += along_y
-            reach += radius[rows, None]
-            reach[:, apart] = 0.0
+            dx += dy
+            reach += radius[block, None]
+            reach[:, [i, *excluded]] = 0.0
             reach *= reach
-            near.append(first * num_robots + np.flatnonzero(squared < reach))
+            near.append(first * num_robots + np.flatnonzero(dx < reach))
         return np.divmod(np.concatenate(near), num_robots)
 
 
@@ -104,17 +100,22 @@ def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return circles around all straight motions from one of a step's ``k`` positions to one of the next step."""
+    """Return a circle for each step but the last, around all straight motions to the next step.
+
+    A motion leads from one of the step's ``k`` positions to one of the next step's.
+    """
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
 
 def _between(a: Circles, b: Circles) -> Circles:
+    # The circle halfway between two circles that contains both.
     radius = np.hypot(b.x - a.x, b.y - a.y) / 2 + np.maximum(a.radius, b.radius)
     return Circles((a.x + b.x) / 2, (a.y + b.y) / 2, radius)
 
 
 def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
+    # The circles through the corners of the positions' bounding boxes. Headings do not matter.
     if q.shape[1] == 1:
         return Circles(q[:, 0, 0], q[:, 0, 1], np.zeros(len(q)))
     lo, hi = q[..., :2].min(axis=1), q[..., :2].max(axis=1)
@@ -131,32 +132,37 @@ def motions_apart(
     that a motion may be rejected if a robot that is not round turns within about 1e-7 of its size from a collision.
     """
     require_time(deadline, "all motions were tested")
+    # 1. Divide large batches along their first axis.
     motions = a0, a1, b0, b1
     batch = np.broadcast(*(q[..., 0] for q in motions))
     if batch.size > _MOST and batch.shape[0] > 1:
-        size, apart = max(1, _MOST * batch.shape[0] // batch.size), np.empty(batch.shape, dtype=bool)
+        size = max(1, _MOST * batch.shape[0] // batch.size)
+        apart = np.empty(batch.shape, dtype=bool)
         for begin in range(0, batch.shape[0], size):
             rows = slice(begin, begin + size)
             a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
             apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
         return apart
+    # 2. Compare the least distance of the reference points with the circumscribed and the inscribed radii.
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
     dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
-    distance = np.asarray(distance_to_segment(x, y, dx, dy))  # least distance of the reference points
+    distance = np.asarray(distance_to_segment(x, y, dx, dy))
     outer = robot_a.circumscribed_radius + robot_b.circumscribed_radius
     inner = robot_a.inscribed_radius + robot_b.inscribed_radius
     apart = distance >= outer - tolerance
     if inner == outer:  # two discs or points
         return apart
     where = np.nonzero(~apart & (distance >= inner - tolerance))
+    # 3. Choose the fastest kernel that applies to both robots, and the sizes that it expects. Half sides are None if
+    #    the robot's core is no box around its reference point, and 0 if the core is a point.
     reach = robot_a.rounding + robot_b.rounding - tolerance
-    # Choose the fastest kernel that applies to both robots, and the sizes that it expects.
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
     kernel, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
         kernel = box_separation if half_a.any() and half_b.any() else box_point_separation
         size_a, size_b = half_a, half_b
     is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
+    # 4. Test the undecided pairs exactly.
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))

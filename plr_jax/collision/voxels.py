@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid, spread
 
-_MOTIONS_AT_ONCE, _ROWS_AT_ONCE = 1 << 14, 1 << 18  # batch sizes, which bound the memory
+_MOTIONS_AT_ONCE = 1 << 14  # bounds the memory
+_ROWS_AT_ONCE = 1 << 18  # rows of voxels; bounds the memory
 _SHORT = 0.5  # pieces of motions up to this share of a voxel are tested against single voxels
 _NEARLY = 1 + 2.0**-49  # ratio of computed times within which rounding may have changed their order
 _LEAST_TIME = 1e-300  # absolute slack for times that may have lost digits by underflow
 Booleans = Bool[np.ndarray, "n"]
-Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
@@ -23,13 +23,23 @@ def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: fl
 
     If ``lo`` and ``hi`` are swapped, a voxel must be nearer than ``radius`` to every point of the box.
     """
+    # 1. The box enlarged by the radius contains all points within the radius, and points beyond it near its corners.
+    #
+    #      . . . . . . . .     Blocked voxels in the enlarged box (dotted) are near if they are straight ahead of the
+    #      . ? |     | ? .     box along an axis. In the corners (?), their distances decide.
+    #      . --+-----+-- .
+    #      .   | box |   .
+    #      . --+-----+-- .
+    #      . ? |     | ? .
+    #      . . . . . . . .
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
-    doubtful = within.copy()
-    for axis in range(grid.dim):  # exact for blocked voxels straight ahead along the axis
+    is_doubtful = within.copy()
+    for axis in range(grid.dim):
         ahead = (np.arange(grid.dim) == axis)[:, None]
-        doubtful &= grid.num_blocked(np.where(ahead, far_first, first), np.where(ahead, far_last, last)) == 0
-    doubtful = np.flatnonzero(doubtful)
+        is_doubtful &= grid.num_blocked(np.where(ahead, far_first, first), np.where(ahead, far_last, last)) == 0
+    # 2. Count blocked voxels in the part of each row of voxels that is within the radius.
+    doubtful = np.flatnonzero(is_doubtful)
     within[doubtful] = False
     for box, begin, end in _rows_within(grid, lo[:, doubtful], hi[:, doubtful], radius):
         within[doubtful[box[grid.num_blocked(begin, end) > 0]]] = True
@@ -42,18 +52,21 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
-) -> Iterator[tuple[Which, Numbers, Numbers]]:
+) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers, Numbers]]:
     """Yield rows of voxels along the last axis within ``radius`` of boxes: index of the box, first and last voxel."""
+    # A voxel is within the radius r of a box if its gaps from the box along the axes have a sum of squares below r^2.
+    # The gaps along all axes but the last depend on the row alone. They leave a reach along the last axis.
     first, last = _touching(grid, lo - radius, hi + radius)
-    num = np.maximum(last - first + 1, 0)[:-1]
-    for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
-        box, place = ragged_indices(num[:, some].prod(axis=0))
-        box += some.start
+    num = np.maximum(last - first + 1, 0)[:-1]  # layers along each axis but the last; their product is the rows
+    for batch in parts(num.prod(axis=0), _ROWS_AT_ONCE):
+        box, rank = ragged_indices(num[:, batch].prod(axis=0))
+        box += batch.start
         row = np.empty((grid.dim, len(box)), np.int64)
         square = np.full(len(box), radius**2)
         for axis in range(grid.dim - 1):
-            place, beyond = np.divmod(place, num[axis, box])
-            row[axis], faces = first[axis, box] + beyond, grid.faces[axis]
+            rank, layer = np.divmod(rank, num[axis, box])  # a row's rank has a digit for each axis
+            row[axis] = first[axis, box] + layer
+            faces = grid.faces[axis]
             gaps = np.maximum(faces[row[axis]] - hi[axis, box], lo[axis, box] - faces[row[axis] + 1])
             square -= np.maximum(gaps, 0.0) ** 2
         near = square > 0
@@ -66,7 +79,7 @@ def _rows_within(
 
 def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordinates, q1: Coordinates) -> Booleans:
     batches = (slice(begin, begin + _MOTIONS_AT_ONCE) for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE))
-    return np.concatenate([np.zeros(0, bool), *(test(q0[:, some], q1[:, some]) for some in batches)])
+    return np.concatenate([np.zeros(0, bool), *(test(q0[:, batch], q1[:, batch]) for batch in batches)])
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
@@ -76,43 +89,53 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
 
 def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     # Bisect each motion until its parts are far from blocked voxels, the ball hits one in the middle of a part, or a
-    # part is so short that the few voxels near it are tested exactly.
-    keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
-    motion, width = np.flatnonzero(keeps_off), 1.0
-    begin = np.zeros(len(motion))
+    # part is so short that the few voxels near it are tested exactly. A part is a motion, its begin and its width (as
+    # shares of the motion; all parts are equally wide).
+    is_clear = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
+    motion = np.flatnonzero(is_clear)
+    begin, width = np.zeros(len(motion)), 1.0
     while len(motion):
+        # 1. Drop the parts whose boxes are far from blocked voxels.
         change = q1[:, motion] - q0[:, motion]
         a, b = q0[:, motion] + begin * change, q0[:, motion] + (begin + width) * change
         near = blocked_within(grid, np.minimum(a, b), np.maximum(a, b), radius)
         motion, begin, a, b = motion[near], begin[near], a[:, near], b[:, near]
+        # 2. Test the ball in the middle of each part.
         middle = (a + b) / 2
-        keeps_off[motion[blocked_within(grid, middle, middle, radius)]] = False
-        short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & keeps_off[motion]
-        owner, lo, hi = motion[short], np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
+        is_clear[motion[blocked_within(grid, middle, middle, radius)]] = False
+        # 3. Decide short parts: test their whole motions against the voxels near the part.
+        short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & is_clear[motion]
+        lo, hi = np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
         for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
-            meets = squared_distances(grid, q0[:, owner[piece]], q1[:, owner[piece]], voxel) < radius**2
-            keeps_off[owner[piece[meets]]] = False
-        halved = keeps_off[motion] & ~short
-        motion, begin, width = motion[halved], begin[halved], width / 2
-        motion, begin = np.append(motion, motion), np.append(begin, begin + width)
-    return keeps_off
+            tested = motion[short][piece]
+            is_clear[tested[squared_distances(grid, q0[:, tested], q1[:, tested], voxel) < radius**2]] = False
+        # 4. Halve the others, unless their motion hits a voxel.
+        halved = is_clear[motion] & ~short
+        width /= 2
+        motion, begin = np.tile(motion[halved], 2), np.append(begin[halved], begin[halved] + width)
+    return is_clear
 
 
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
-) -> Iterator[tuple[Which, Numbers]]:
+) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers]]:
     """Yield pairs of a box and a blocked voxel within ``radius`` of it: indices of boxes, and numbers of voxels."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
-        some = np.flatnonzero(grid.num_blocked(begin, end))
-        row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
-        voxel = begin[:, some[row]]
+        row = np.flatnonzero(grid.num_blocked(begin, end))
+        index, place = ragged_indices(end[-1, row] - begin[-1, row] + 1)
+        row = row[index]  # of each voxel
+        voxel = begin[:, row]
         voxel[-1] += place
         blocked = ~grid.padded[tuple(voxel)]
-        yield box[some[row[blocked]]], voxel[:, blocked]
+        yield box[row[blocked]], voxel[:, blocked]
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, " n"]:
     """Return the least squared distance between the i-th motion and the i-th voxel."""
+    # At the time t in [0, 1] of a motion, let excess_a(t) be how far the point is beyond the voxel along axis a, with
+    # a sign; 0 if it is between the faces lo_a and hi_a. Half the derivative of the squared distance, the slope
+    # sum_a change_a * excess_a(t), never decreases in t, and is linear between the times at which an axis crosses a
+    # face. So the squared distance is least at the zero of the slope, or at an end of the motion.
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -121,16 +144,15 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
         x = q0 + time * change
         return np.maximum(x - hi, 0.0) - np.maximum(lo - x, 0.0)
 
-    moves = change != 0
-    level = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
-    times = np.sort(np.clip([np.zeros(q0.shape[1]), *level[0], *level[1], np.ones(q0.shape[1])], 0, 1), axis=0)
+    # 1. Compute the slope at both ends of the motion, and at the times at which an axis crosses a face.
+    crossing = [np.divide(face - q0, change, out=np.zeros_like(q0), where=change != 0) for face in (lo, hi)]
+    times = np.sort(np.clip([np.zeros(q0.shape[1]), *crossing[0], *crossing[1], np.ones(q0.shape[1])], 0, 1), axis=0)
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
-    # Half the derivative of the squared distance, sum(change * excess(t)) over axes, never decreases in t, and is
-    # linear between the times at which an axis crosses a face. Find its zero: it lies between the last time at which
-    # this slope is negative and the next time, or at an end of the motion.
-    after = np.count_nonzero(slopes < 0, axis=0)
-    ends = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
-    (t0, t1), (s0, s1) = ([np.take_along_axis(of, at[None], axis=0)[0] for at in ends] for of in (times, slopes))
+    # 2. Find the zero: it lies between the last time at which the slope is negative and the next time.
+    num_negative = np.count_nonzero(slopes < 0, axis=0)[None]
+    last, after = np.maximum(num_negative - 1, 0), np.minimum(num_negative, len(times) - 1)
+    t0, t1 = (np.take_along_axis(times, index, axis=0)[0] for index in (last, after))
+    s0, s1 = (np.take_along_axis(slopes, index, axis=0)[0] for index in (last, after))
     fraction = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
     return np.sum(excess(t0 + np.clip(fraction, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
@@ -153,23 +175,34 @@ class _Traversal:
         (below, above), (below_end, above_end) = grid.numbers(q0), grid.numbers(q1)
         self.step = np.sign(q1 - q0).astype(np.int64)
         self.layers = np.where(self.step == 0, above - below, 0)  # 1 along axes on which a motion is within a face
-        self.at = np.where(self.step > 0, above, below)
-        self.last = np.select([self.step > 0, self.step < 0], [below_end, above_end], self.at)
+        self.at = np.where(self.step > 0, above, below)  # the voxel that the motion is in, or enters from a face
+        self.last = np.select([self.step > 0, self.step < 0], [below_end, above_end], self.at)  # in which it ends
+        # The voxels around a point are numbered by one bit per axis, the first axis highest: 0 is the voxel `at`, 1
+        # the one next to it along the axis (the same voxel along axes on which the point is within no face).
+        #
+        #        +----+----+
+        #        | 01 | 11 |     second axis
+        #        +----o----+      ^
+        #        | 00 | 10 |      |
+        #        +----+----+      +--> first axis, a step to the right
         self.corner = np.arange(2**grid.dim)
         self.bits = np.array(list(product((0, 1), repeat=grid.dim)))
         self.bits_of_axes = 1 << np.arange(grid.dim)[::-1]
-        self.strides = np.array(grid.padded.strides)
+        self.strides = np.array(grid.padded.strides)  # in bytes, which are the voxels' indices in `padded.ravel()`
 
     def passes(self) -> Booleans:
         """Return whether each motion passes: whether it reaches its end with a voxel left in which it can be."""
+        # 1. A motion passes if no voxel is blocked in its bounding box.
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
+        # 2. Follow the other motions from face to face. `live`: the voxels around that each can be in.
         rows = np.flatnonzero(~passes)
         live = self._free_around(rows, self.layers[:, rows])
         while True:
-            alive, arrives = live.any(axis=1), (self.at[:, rows] == self.last[:, rows]).all(axis=0)
-            passes[rows[alive & arrives]] = True
-            rows, live = rows[alive & ~arrives], live[alive & ~arrives]
+            is_live = live.any(axis=1)
+            arrives = (self.at[:, rows] == self.last[:, rows]).all(axis=0)
+            passes[rows[is_live & arrives]] = True
+            rows, live = rows[is_live & ~arrives], live[is_live & ~arrives]
             if not len(rows):
                 return passes
             live = self._cross(rows, live)
@@ -177,11 +210,13 @@ class _Traversal:
     def _cross(
         self, rows: Int[np.ndarray, " some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
-        # Return which of the voxels around the next point each motion can be in.
+        # Move `at` across the next faces, and return in which of the voxels around that point each motion can be.
+        # 1. Find the faces that each motion crosses next, and the free voxels around the crossing.
         step, layers = self.step[:, rows], self.layers[:, rows]
         crossed, face = self._crossed_next(rows)
         around = self._free_around(rows, np.where(crossed, step, layers))
-        # The order of nearly simultaneous crossings matters only if some voxel around is blocked.
+        # 2. Decide exactly which of nearly simultaneous crossings come first. It matters only if some voxel around is
+        #    blocked.
         narrow = np.flatnonzero(~around.all(axis=1))
         doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
         if len(doubtful):
@@ -189,22 +224,22 @@ class _Traversal:
             first = _first_crossed(crossed[:, doubtful], face[:, doubtful], self.q0[:, motions], self.q1[:, motions])
             crossed[:, doubtful] = first
             around[doubtful] = self._free_around(motions, np.where(first, step[:, doubtful], layers[:, doubtful]))
-        # Voxels beyond the crossed faces are reached from free voxels on the near side.
+        # 3. Voxels beyond the crossed faces (with all bits in `beyond`) are reached from free voxels on the near
+        #    side, through faces of free voxels around the crossing. `around` becomes the voxels that are reached.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
-        reached = around
-        reached[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
+        around[narrow] = spread(live[narrow] & (self.corner & beyond[narrow] == 0), around[narrow])
         self.at[:, rows] += np.where(crossed, step, 0)
-        return np.take_along_axis(reached, self.corner | beyond, axis=1)
+        return np.take_along_axis(around, self.corner | beyond, axis=1)
 
     def _free_around(self, motions: Int[np.ndarray, " some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        at = self.strides @ self.at[:, motions]
-        return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
+        # `span`: the step, along each axis, from the voxels with bit 0 to those with bit 1.
+        index = self.strides @ self.at[:, motions]
+        return self.grid.padded.ravel()[index[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
         """Return across which axes each motion leaves its current voxels next, and the next face along each axis."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
-        further = at + (self.step[:, rows] > 0)
-        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
+        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, at + (self.step[:, rows] > 0), strict=True)])
         time = np.full(face.shape, np.inf)
         np.divide(face - q0, self.q1[:, rows] - q0, out=time, where=at != self.last[:, rows])
         return time <= _NEARLY * time.min(axis=0) + _LEAST_TIME, face

@@ -14,27 +14,22 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
-from plr_jax.collision.bodies import (
-    Booleans,
-    Column,
-    MovingBodies,
-    bisect,
-    box_separation,
-    convex_separation,
-    moving_bodies,
-)
+from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
 
+# Batches:
 _CHUNK = 1 << 14  # motions at a time
 _PAIRS = 1 << 17  # pairs of pieces and edges at a time, between two checks of the clock
 _CENTERS = 1 << 13  # cells at a time while the grid is built, between two checks of the clock
-_EDGES_PER_POINT = 128  # estimated work for a point, whose visibility is tested among all edges
+_EDGES_PER_POINT = 128  # estimated work for a point, in pairs; its visibility is tested among all edges
+# The grid:
 _CELLS = (64, 256)  # fewest and most cells along the longer side
 _POINT_CELLS = 128  # cells along the longer side for a point
 _PURPOSE = "all motions were tested"
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
+Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 class MotionTest:
@@ -42,18 +37,22 @@ class MotionTest:
 
     def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
         self.workspace, self.robot = workspace, robot
-        # The cells are about half as large as the robot. A robot no larger than the tolerance counts as a point.
-        width, size = workspace.bounds.width, robot.circumscribed_radius
-        self._is_point = size <= workspace.tolerance
-        size = 0.0 if self._is_point else size
+        # 1. Choose cells about half as large as the robot. A robot no larger than the tolerance counts as a point.
+        width = workspace.bounds.width
+        self._is_point = robot.circumscribed_radius <= workspace.tolerance
+        size = 0.0 if self._is_point else robot.circumscribed_radius
         cell = size / 2 or width.max() / _POINT_CELLS
         self._cell = cell = float(np.clip(cell, width.max() / _CELLS[1], width.max() / _CELLS[0]))
         self._shape = columns, rows = tuple(np.ceil(width / cell).astype(int).tolist())
         x, y = (lo + (np.arange(num) + 0.5) * cell for lo, num in zip(workspace.bounds.lo, self._shape, strict=True))
         centers = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
-        self._longest = max(2 * cell, size) if size > 0 else np.inf  # a point is tested by `is_visible` instead
+        # 2. Motions are cut into pieces up to `_longest`. Within `reach` of a center are all edges that the robot can
+        #    hit on a piece whose middle is in the cell: the middle is less than a cell away, the piece extends half
+        #    its length from there, and the robot `size` from the piece. A point is tested by `is_visible` instead.
+        self._longest = max(2 * cell, size) if size > 0 else np.inf
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
-        # Clearance at each center, and edges within reach: those of cell i from _first[i] to _first[i + 1].
+        # 3. Compute the clearance at each center, and the edges within reach: those of cell i are
+        #    _edge[_first[i] : _first[i + 1]].
         counts, edges, clearance = [], [], []
         for begin in range(0, len(centers), _CENTERS):
             require_time(deadline, _PURPOSE)
@@ -88,30 +87,36 @@ class MotionTest:
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
         """Return whether the robot is surely free at any heading with its reference point anywhere in each circle."""
-        cell, away = self._locate(x, y)
-        return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
+        cell, from_center = self._locate(x, y)
+        return self._clearance[cell] - from_center > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
         """Return which motions are free: by clearance where that decides, else by tests against walls."""
-        pieces, owner = _cut_into_pieces(self.robot, q0, q1, self._longest)
+        pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
+        # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
-        cell, away = self._locate(x, y)
+        cell, from_center = self._locate(x, y)
         clearance = self._clearance[cell]
-        clear = clearance - away - half >= self.robot.circumscribed_radius
-        may_fit = clearance + away >= self.robot.inscribed_radius - self.workspace.tolerance
+        clear = clearance - from_center - half >= self.robot.circumscribed_radius
+        may_fit = clearance + from_center >= self.robot.inscribed_radius - self.workspace.tolerance
+        # 2. Test the undecided pieces against walls.
         unsure = np.flatnonzero(~clear & may_fit)
         clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
-        # A body that no wall cuts is inside or outside. Test its center: the reference point may touch a wall.
-        lost = unsure[clear[unsure] & (clearance[unsure] <= away[unsure])]
-        (u, v), heading = self.robot.core.mean(axis=0), pieces.theta[lost] + 0.5 * pieces.turn[lost]
+        # 3. A body that no wall cuts is inside or outside. If the middle may be outside, test the center of the body
+        #    there: the reference point may touch a wall.
+        doubtful = unsure[clear[unsure] & (clearance[unsure] <= from_center[unsure])]
+        u, v = self.robot.core.mean(axis=0)
+        heading = pieces.theta[doubtful] + 0.5 * pieces.turn[doubtful]
         c, s = np.cos(heading), np.sin(heading)
-        inside = np.stack([x[lost] + c * u - s * v, y[lost] + s * u + c * v], axis=1)
-        clear[lost] = self.workspace.is_free_to_tolerance(inside)
-        if owner is not None:
-            pieces_clear, clear = clear, np.ones(len(q0), dtype=bool)
-            clear[owner[~pieces_clear]] = False
-        return clear
+        center = np.stack([x[doubtful] + c * u - s * v, y[doubtful] + s * u + c * v], axis=1)
+        clear[doubtful] = self.workspace.is_free_to_tolerance(center)
+        if motion is None:
+            return clear
+        # 4. A motion is free if all its pieces are.
+        free = np.ones(len(q0), dtype=bool)
+        free[motion[~clear]] = False
+        return free
 
     def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, " n"], Column]:
         """Return the grid cell of each point (the nearest one for points outside), and the distance to its center."""
@@ -122,15 +127,15 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
-        """Test pieces of motions against the walls near their cells; a point, against all walls."""
+        """Return which pieces of motions hit no wall near their cells. For a point robot, all walls are tested."""
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
             require_time(deadline, _PURPOSE)
             batch = pieces.take(part)
             if self._is_point:
-                a = np.stack([batch.x, batch.y], axis=1)
-                clear[part] = self.workspace.is_visible(a, a + np.stack([batch.dx, batch.dy], axis=1))
+                begin = np.stack([batch.x, batch.y], axis=1)
+                clear[part] = self.workspace.is_visible(begin, begin + np.stack([batch.dx, batch.dy], axis=1))
             else:
                 clear[part] = self._test_edges(batch, cell[part], deadline)
         return clear
@@ -138,12 +143,20 @@ class MotionTest:
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
         """Return which pieces of motions keep clear of the walls near their cells."""
         robot, tolerance = self.robot, self.workspace.tolerance
-        index, owner = take_ragged(self._first, cell)
-        edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
-        # 1. Compare the radii to the distances from the path of the reference point to the edges. Coordinates u and v
-        #    are along and across an edge, from its first end. The distance is 0 if path and edge cross, else that
-        #    from an end of the path to the edge, or from an end of the edge to the path.
-        near, tangent = pieces.take(owner), edges[:, 1] - edges[:, 0]
+        clear = np.ones(len(cell), dtype=bool)
+        # 1. List the pairs of a piece and an edge near its cell, and compute the distance from the path of the
+        #    reference point to the edge. It is 0 if they cross, else the least distance from an end of the path to
+        #    the edge, or from an end of the edge to the path.
+        #
+        #        v
+        #        |     (u + du, v + dv)       u: along the edge, from its first end
+        #        |    /                       v: across the edge
+        #        o===/==========o---> u
+        #           (u, v)      length
+        index, piece = take_ragged(self._first, cell)
+        edges = self.workspace.boundary.segments[self._edge[index]]
+        near = pieces.take(piece)
+        tangent = edges[:, 1] - edges[:, 0]
         length = np.hypot(tangent[:, 0], tangent[:, 1])
         c, s = tangent[:, 0] / length, tangent[:, 1] / length
         x, y = near.x - edges[:, 0, 0], near.y - edges[:, 0, 1]
@@ -154,22 +167,24 @@ class MotionTest:
         crossing = u - v * np.divide(du, dv, out=np.zeros_like(du), where=dv != 0)
         crosses = (v * (v + dv) < 0) & (crossing >= 0) & (crossing <= length)
         distance = np.where(crosses, 0.0, np.min([*ends, *corners], axis=0))
-        clear[owner[distance < robot.inscribed_radius - tolerance]] = False
+        # 2. The inscribed disc hits the edge, or the circumscribed disc misses it, or the pair is undecided.
+        clear[piece[distance < robot.inscribed_radius - tolerance]] = False
         if robot.inscribed_radius == robot.circumscribed_radius:
             return clear
-        # 2. Test the undecided pieces against one edge each: a body at rest, as a flat box or with two vertices.
-        doubtful = np.flatnonzero((distance < robot.circumscribed_radius) & clear[owner])
-        edges, tangent, zeros = edges[doubtful], tangent[doubtful], np.zeros(len(doubtful))
-        reach, half, center = robot.rounding - tolerance, robot.half_sides, edges.mean(axis=1)
+        # 3. Test the undecided pairs exactly. An edge is a body at rest: a flat box, or a body with two vertices.
+        doubtful = np.flatnonzero((distance < robot.circumscribed_radius) & clear[piece])
+        edges, tangent = edges[doubtful], tangent[doubtful]
+        center, zeros = edges.mean(axis=1), np.zeros(len(doubtful))
+        reach, half = robot.rounding - tolerance, robot.half_sides
         if half is not None and reach <= 0:
-            kernel, size, theta = box_separation, half, np.arctan2(tangent[:, 1], tangent[:, 0])
-            of_edges = np.stack([length[doubtful] / 2, zeros])
+            kernel, size = box_separation, half
+            edge_size, edge_heading = np.stack([length[doubtful] / 2, zeros]), np.arctan2(*tangent.T[::-1])
         else:
-            kernel, size, theta = convex_separation, robot.core.T, zeros
-            of_edges = (edges - center[:, None]).transpose(2, 1, 0)
-        flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, zeros, zeros, zeros)
-        keeps_off = bisect(kernel, near.take(doubtful).with_size(size), flat, reach, deadline)
-        clear[owner[doubtful[~keeps_off]]] = False
+            kernel, size = convex_separation, robot.core.T
+            edge_size, edge_heading = (edges - center[:, None]).transpose(2, 1, 0), zeros
+        at_rest = MovingBodies(edge_size, center[:, 0], center[:, 1], edge_heading, zeros, zeros, zeros)
+        keeps_off = bisect(kernel, near.take(doubtful).with_size(size), at_rest, reach, deadline)
+        clear[piece[doubtful[~keeps_off]]] = False
         return clear
 
 
@@ -198,9 +213,10 @@ def _cut_into_pieces(
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():
         return whole, None
+    # Fields of `whole`: the size, then the pose (x, y, theta) at the begin, then its rate of change.
     count = np.maximum(count, 1)
-    owner, step = ragged_indices(count)
-    t, fraction = step / count[owner], 1 / count[owner]
-    whole = whole.take(owner)
-    pose = [q + t * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
-    return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), owner
+    motion, step = ragged_indices(count)
+    begin, fraction = step / count[motion], 1 / count[motion]
+    whole = whole.take(motion)
+    pose = [q + begin * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
+    return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), motion

@@ -19,14 +19,16 @@ from plr_jax.planners.lattice import JointLattice, State
 _CHUNK = 1 << 15  # configurations per call of the heuristic, between two checks of the clock
 _PURPOSE = "the heuristic was known"
 _INFINITE = 1e30  # larger estimates count as infinite, as sums of them could overflow float32
-_NODE_BYTES = 350  # memory of a node in the tree, the frontier and the set of claimed cells
-_MOTION_BYTES = 16  # memory of a motion in a robot's score table
-_ESTIMATE_BYTES = 16  # memory of a node in a robot's table of estimates
+# Memory:
+_NODE_BYTES = 350  # bytes of a node in the tree, the frontier and the set of claimed cells
+_MOTION_BYTES = 16  # bytes of a motion in a robot's score table
+_ESTIMATE_BYTES = 16  # bytes of a node in a robot's table of estimates
 _PRIMITIVE_COPIES = 3  # arrays that hold a joint child's primitives while the beam is cut
-_SCORE_BYTES = 12  # memory of a joint child's score while the beam is cut
+_SCORE_BYTES = 12  # bytes of a joint child's score while the beam is cut
+# Batches and beams:
 _BATCH = 16  # most nodes expanded at once; the batch doubles from 1 while the search makes no progress
 _WIDTH = 1024  # initial beam width
-_STORED_SHARE = 16  # 1 / 16 of the beam width is stored as successors
+_STORED_SHARE = 16  # the best 1 / 16 of the beam is stored as successors
 _WIDTH_GROWTH = 8  # factor of the beam width when a node's stored successors are used up
 _MAX_WIDTH = 1 << 16  # bounds the memory of a beam
 _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
@@ -52,11 +54,14 @@ def best_successors(
     ``terms[robot]`` is the score of each primitive (motion to a neighboring cell, or a stay) at each node of the
     robot's lattice, ``inf`` if it is blocked.
     """
+    # score[row, m]: sum of the terms in the m-th joint motion from a state. primitive[row, m]: its primitives so far.
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
-    num_scored, num_valid, whole = 0, len(state), np.ones(len(state), dtype=bool)
+    num_scored, num_valid = 0, len(state)
+    is_complete = np.ones(len(state), dtype=bool)
     rows = np.arange(len(state))[:, None]
     for i, term in enumerate(terms):
+        # 1. Extend each joint motion by each primitive of robot i (third axis); the score of collisions is inf.
         extended = score[:, :, None] + term[state[:, i], None]
         for j in range(i):
             near, collide = joint.collisions(j, i, state)
@@ -64,23 +69,27 @@ def best_successors(
                 penalty = np.where(collide, np.float32(np.inf), np.float32(0.0))
                 extended[near] += penalty[np.arange(len(near))[:, None], primitive[near, :, j]]
         num_scored += extended.size
+        # 2. Keep the best joint motions, in any order. Their index is m * (number of primitives) + primitive.
         score = extended.reshape(len(state), -1)
         valid = np.count_nonzero(score < np.inf, axis=1)
         num_valid = int(valid.sum())
         best = np.broadcast_to(np.arange(score.shape[1]), score.shape)
         if width < score.shape[1]:
-            whole &= valid <= width
+            is_complete &= valid <= width
             best = np.argpartition(score, width - 1, axis=1)[:, :width]
             score = np.take_along_axis(score, best, axis=1)
         parent, last = np.divmod(best, term.shape[1])
         primitive = np.concatenate([primitive[rows, parent], last[..., None].astype(np.uint8)], axis=2)
+    # 3. Sort them.
     order = np.argsort(score, axis=1, kind="stable")
-    return Successors(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)
+    score = np.take_along_axis(score, order, axis=1)
+    return Successors(score, primitive[rows, order], num_scored, num_valid, is_complete)
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
     """Return each robot's term of the heuristic at all nodes of its lattice."""
-    size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
+    size = max(len(lattice.q) for lattice in joint.lattices)
+    chunk = max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     values = np.empty(state.shape)
@@ -109,7 +118,8 @@ class BestFirstSearch:
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
         self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
-        self.scores, self.least_estimate = [], 0.0  # for each robot: motion cost plus weighted term of the child
+        self.scores = []  # for each robot, by node and primitive: motion cost plus weighted term of the child
+        self.least_estimate = 0.0  # least weighted heuristic of the nodes
         for lattice, estimate in zip(joint.lattices, estimates, strict=True):
             require_time(budget.deadline, _PURPOSE)
             is_finite = estimate < _INFINITE
@@ -117,15 +127,15 @@ class BestFirstSearch:
             self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
             self.least_estimate += weight * table[lattice.start]
         self.memory_use.add(bytes_of_tables(joint))
-        self.max_product_bytes = 0  # memory of the widest beams so far
+        self.max_product_bytes = 0  # bytes of the widest beams so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices], np.int32)
         self.states, self.costs, self.parents = [start], [0.0], [-1]  # by node; the root has no parent
         self.claimed = {start.tobytes()}
-        self.frontier = [(float(self.least_estimate), 0, 0)]
+        self.frontier = [(float(self.least_estimate), 0, 0)]  # score, order among equals, node
         self.successors: dict[int, SuccessorList] = {}
-        self.next_widths: dict[int, int] = {}
-        self.pushed, self.batch_size, self.num_expansions = 0, 1, 0
+        self.next_widths: dict[int, int] = {}  # beam widths of nodes whose successors are used up
+        self.num_pushed, self.batch_size, self.num_expansions = 0, 1, 0
         self.is_complete = True  # whether no node has lost children to the cut of the widest beam
         self.goal_node = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
         budget.num_nodes += 1
@@ -137,9 +147,8 @@ class BestFirstSearch:
             if limit := self.budget.exceeded():
                 return limit
             left = self.budget.max_expansions - self.budget.num_expansions
-            batch = [
-                heapq.heappop(self.frontier)[2] for _ in range(int(min(self.batch_size, len(self.frontier), left)))
-            ]
+            size = int(min(self.batch_size, len(self.frontier), left))
+            batch = [heapq.heappop(self.frontier)[2] for _ in range(size)]
             nearest, before = self.least_estimate, self.num_expansions
             self._expand(batch)
             for node in batch:
@@ -168,7 +177,7 @@ class BestFirstSearch:
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
-        # Find successors of the nodes that have none left, by a beam as wide as each node needs next.
+        # 1. Group the nodes that have no successors left by the width of the beam that they need next.
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
@@ -178,47 +187,50 @@ class BestFirstSearch:
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(of_width), size):
                 part = of_width[begin : begin + size]
-                # Reserve the memory of the widest beams so far, as later ones may be as wide.
+                # 2. Reserve the memory of the widest beams so far, as later ones may be as wide.
                 num_bytes = (len(part) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.memory_use.add(max(0, num_bytes - self.max_product_bytes))
                 self.max_product_bytes = max(self.max_product_bytes, num_bytes)
+                # 3. Find successors, and keep the best of each node.
                 state = np.array([self.states[node] for node in part])
                 cost = np.array([self.costs[node] for node in part])
                 children = best_successors(self.joint, self.scores, state, width)
                 num_valid = np.isfinite(children.score).sum(axis=1)
                 num_kept = np.minimum(num_valid, max(width // _STORED_SHARE, 1))
                 is_complete = children.is_complete & (num_kept == num_valid)
+                # 4. Compute score, state and cost of each kept successor: `row` is its node's index in `part`.
                 row, column = ragged_indices(num_kept)
                 score = cost[row] + children.score[row, column]
                 state, move_cost = self.joint.move(state[row], children.primitive[row, column])
                 cost = cost[row] + move_cost
                 self.budget.num_children_scored += children.num_scored
                 self.budget.num_children_valid += children.num_valid
+                # 5. Store the successors of each node.
                 last = np.cumsum(num_kept)
                 for i, node in enumerate(part):
-                    entries = slice(last[i] - num_kept[i], last[i])
-                    num_bytes = sum(column[entries].nbytes for column in (score, cost, state))
-                    self.successors[node] = SuccessorList(
-                        score[entries], cost[entries], state[entries], width, bool(is_complete[i]), num_bytes
-                    )
+                    columns = [column[last[i] - num_kept[i] : last[i]] for column in (score, cost, state)]
+                    num_bytes = sum(column.nbytes for column in columns)
+                    self.successors[node] = SuccessorList(*columns, width, bool(is_complete[i]), num_bytes)
                     self.memory_use.add(num_bytes)
                 self.num_expansions += len(part)
                 self.budget.num_expansions += len(part)
 
     def _add_child(self, node: int) -> None:
-        # Queue the node again, with the score of its next child.
-        successors, is_added = self.successors[node], False
+        # 1. Add the best child that is in no node yet, and queue the node again with the score of the one after it.
+        successors = self.successors[node]
+        is_added = False
         for child in range(successors.next_index, len(successors.score)):
             state, score = successors.state[child].copy(), successors.score[child]
             if (cell := state.tobytes()) in self.claimed:
                 continue
             if is_added:
                 successors.next_index = child
-                self._return(score, node)
+                self._push(score, node)
                 return
-            is_added, cost = True, float(successors.cost[child])
+            is_added = True
+            cost = float(successors.cost[child])
             self.claimed.add(cell)
-            self._return(score, len(self.states))
+            self._push(score, len(self.states))
             if np.array_equal(state, self.goal):
                 self.goal_node = len(self.states)
             self.states.append(state)
@@ -227,6 +239,7 @@ class BestFirstSearch:
             self.least_estimate = min(self.least_estimate, score - cost)
             self.budget.num_nodes += 1
             self.memory_use.add(_NODE_BYTES + 8 * len(state))
+        # 2. If there is no further child, a wider beam may find more, unless none is missing.
         del self.successors[node]
         self.memory_use.add(-successors.num_bytes)
         if successors.is_complete:
@@ -236,11 +249,11 @@ class BestFirstSearch:
         else:
             self.next_widths[node] = successors.width * _WIDTH_GROWTH
             # A cut may leave only children that collide: then the node returns with its own cost.
-            self._return(successors.score[-1] if len(successors.score) else self.costs[node], node)
+            self._push(successors.score[-1] if len(successors.score) else self.costs[node], node)
 
-    def _return(self, score: float | np.floating, node: int) -> None:
-        self.pushed += 1
-        heapq.heappush(self.frontier, (float(score), -self.pushed, node))  # newest first among equal scores
+    def _push(self, score: float | np.floating, node: int) -> None:
+        self.num_pushed += 1
+        heapq.heappush(self.frontier, (float(score), -self.num_pushed, node))  # newest first among equal scores
 
 
 def bytes_of_tables(joint: JointLattice) -> int:

@@ -16,7 +16,6 @@ from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import (
     SEARCHERS,
     BLOptions,
-    JointPath,
     MemoryUse,
     SearchBudget,
     Solution,
@@ -32,14 +31,16 @@ from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_latt
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
-from plr_jax.planners.through_time import subdivided
+from plr_jax.planners.through_time import JointPath, subdivided
 from plr_jax.robots.robot import between
 
-_COARSEST_FIRST = 1 / 16  # coarsest first step, as a share of the bounds' longer side
-_FINEST_FIRST = 1 / 512  # finest first step, as a share; the three steps below are shares as well
+# Steps (cell sizes of lattices), as shares of the bounds' longer side:
+_COARSEST_FIRST = 1 / 16  # coarsest first step
+_FINEST_FIRST = 1 / 512  # finest first step
 _POINT_STEP = 1 / 32  # first step for points
 _FINEST = 1 / 2048  # finest step that is tried
 _COARSEST = 1 / 4  # coarsest step, for problems that otherwise exceed the memory or the motion tests
+# Choice of the steps:
 _CROWD_WIDTH = 4.5  # a crowd's robots side by side are wider than this many square roots of the free area
 _MAX_CROWD_GROWTH = 1.75  # largest growth of the first step for a crowd
 _PACKED = 1 / 2  # share of the free area that packed robots exceed, each in a square as wide as the narrowest
@@ -47,9 +48,12 @@ _MAX_FIRST_TESTS = 720_000  # motion tests for the first lattices
 _DETOUR = 1.5  # a lattice path longer than this many straight lines suggests a passage that the lattice closes
 _LEAST_SAVING = 0.05  # share of the path costs that a finer first lattice must save
 _REFINEMENT = 1.25  # ratio of one step to the next
-_WEIGHT, _WEIGHT_PER_ROBOT = 2.0, 3 / 8  # default heuristic weight: the larger of both
+# The weight of the heuristic in best-first search:
+_WEIGHT = 2.0  # least default weight
+_WEIGHT_PER_ROBOT = 3 / 8  # default weight per robot of the team, if that is more
 _WEIGHT_GROWTH = 1.5  # from one lattice to the next finer one
 _LEAST_WEIGHT = 1.1  # smaller weights help less than a finer lattice
+# Improvement of a path:
 _WAITING_SHARE = 1 / 4  # rows added for waiting when robots are replanned, as a share of the path's rows
 _NEAR_LEAST = 1.1  # path cost over the robots' least costs up to which replanning is skipped
 _GAIN = 2e-3  # replanning of neighborhoods stops if it saves a smaller share of the cost
@@ -58,12 +62,10 @@ _SEQUENTIAL = "sequential"
 _FEW_LATTICES = 3  # lattices that are tried for a cheaper path than the sequential one
 _SEQUENTIAL_ROWS = 100  # rows into which the sequential path is divided before it is shortened
 _MAX_REPORTED_BYTES = 1 << 60
-_DEFAULT_OPTIONS = BLOptions()
+_DEFAULTS = BLOptions()
 
 
-def bl_plan(
-    problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULT_OPTIONS
-) -> Solution:
+def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULTS) -> Solution:
     """Plan collision-free paths for all robots of a problem, from their starts to their goals.
 
     The common call is ``solution = bl_plan(problem)``. Then ``solution.path`` is an array ``(steps, robots, dof)`` or
@@ -144,9 +146,11 @@ class Run:
         self.seconds: dict[str, float] = {}
         self.began = self._mark = began
         self.samples = problem.starts[None].copy()
-        self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
+        self.num_bytes = 0.0  # largest memory that was used or would have been needed
+        self.extent = float(problem.workspace.bounds.width.max())
 
     def record(self, path: JointPath, found_by: str, motions_factor: float) -> None:
+        """Keep a path if it is the cheapest so far; ``motions_factor`` is its cost over the robots' least costs."""
         seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
@@ -159,12 +163,15 @@ class Run:
 
     def try_sequential_path(self) -> Status | None:
         """Move robots one after the other; return SOLVED if this path's cost needs no improvement."""
+        # 1. Record the path, if there is one.
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             if (path := sequential_path(self.problem)) is not None:
                 self.record(path, _SEQUENTIAL, math.inf)
                 self.path = with_early_departures(self.problem, path)
                 self.history[-1] = self.history[-1][0], path_cost(self.problem, self.path)  # equal but for rounding
             self.end_phase("search")
+        # 2. Compute the lower bound, and the largest cost that is accepted. Without a cost factor, only a path whose
+        #    cost is the lower bound needs no improvement.
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
@@ -212,10 +219,12 @@ class Run:
     def _search_lattices(self, step: float, weight: float, searchers: Sequence[str]) -> tuple[Status, float]:
         """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
         finest = self.options.step or _FINEST * self.extent
-        running: list[Searches] = []
-        is_complete, num_lattices = True, 0
+        running: list[Searches] = []  # from the coarsest lattice to the finest
+        is_complete = True  # whether all searches that ended had tried everything
+        num_lattices = 0
         try:
             while True:
+                # 1. Stop if a limit is reached or no search can be run.
                 if num_lattices == _FEW_LATTICES and self.shorten_sequential_path():
                     return Status.SOLVED, step
                 if limit := self.budget.exceeded():
@@ -224,12 +233,14 @@ class Run:
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
                     return (Status.EXHAUSTED if step < finest and is_complete else Status.MEMORY_LIMIT), step
+                # 2. Begin searches on the next finer lattice, unless time is up meanwhile.
                 if fits and (joint := self._lattices(step, may_halve=self.options.step is None and not running)):
                     step = joint.step
                     with suppress(TimeoutError):
                         running.append(Searches(self, joint, weight, searchers))
                         weight *= _WEIGHT_GROWTH
                     self.end_phase("heuristic")
+                # 3. Give all searches a turn, the newest first. (The loop may remove the present entry.)
                 for searches in reversed(running):
                     self.progress.set_postfix(
                         step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
@@ -244,6 +255,7 @@ class Run:
                     if status is Status.MEMORY_LIMIT:
                         self.num_bytes = max(self.num_bytes, self.budget.memory + searches.num_bytes_needed)
                     if status is Status.SOLVED:
+                        # Free memory for the improvement; releasing searches twice does no harm.
                         for other in set(running) - {searches}:
                             other.release()
                         self._improve(searches)
@@ -253,7 +265,8 @@ class Run:
                         running.remove(searches)
                     if status not in (None, Status.EXHAUSTED):
                         return status, searches.joint.step
-                step, num_lattices = step / _REFINEMENT, num_lattices + 1
+                step /= _REFINEMENT
+                num_lattices += 1
                 if not running and self.options.step is None:
                     # The lattice for packed robots has no spare cell, for example if a full ring must rotate.
                     step = min(step, first_step(self.problem, self._fits, may_be_packed=False))
@@ -263,20 +276,19 @@ class Run:
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
         """Build lattices of cell size ``step``, finer if ``may_halve``; None if a goal is cut off or time is up."""
-        problem = self.problem
-        straight = motion_costs(problem, problem.starts, problem.goals)
+        straight = motion_costs(self.problem, self.problem.starts, self.problem.goals)
         try:
-            joint = build_lattices(problem, step, self.test)
+            joint = build_lattices(self.problem, step, self.test)
             if not np.isfinite(joint.least_costs).all():
                 return None
             # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
             while may_halve and (joint.least_costs > _DETOUR * straight).any():
                 half = joint.step / 2
-                if _num_motions_to_test(problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
+                if _num_motions_to_test(self.problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
                     break
-                finer = build_lattices(problem, half, self.test)
+                finer = build_lattices(self.problem, half, self.test)
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
-                    break
+                    break  # also if a goal is cut off in the finer lattice, whose cost is then inf
                 joint = finer
             return joint
         except TimeoutError:
@@ -286,22 +298,28 @@ class Run:
 
     def _improve(self, searches: "Searches") -> None:
         """Replan and shorten the path that ``searches`` found, and record each path that is the cheapest so far."""
+        # 1. Replan robots one by one. If the path costs little more than the least costs, shortening alone finds what
+        #    can be gained.
         found_by, state = searches.winner
         path, factor = self._recorded(searches, state)
         can_replan = len(self.problem.robots) > 1 and len(state) > 1
-        # If the path costs little more than the least costs, shortening alone finds what can be gained.
         if can_replan and factor > _NEAR_LEAST:
             state = self._replanned(searches, state, in_groups=False)
             path, factor = self._recorded(searches, state)
+        # 2. Shorten the sequential path instead if it is still the cheapest, else this path.
         if self.shorten_sequential_path(factor):
             return
         self._shorten(path, found_by, factor, searches.joint.step / 2)
+        # 3. If the cost is not accepted, replan groups of robots, too.
         if can_replan and self.accepted_cost < self.cost:
             path, factor = self._recorded(searches, self._replanned(searches, state, in_groups=True))
             self._shorten(path, found_by, factor, searches.joint.step / 2)
 
     def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
-        """Shorten a path, in corridors of at most ``width``, until its cost is accepted."""
+        """Shorten a path by shortcuts, in corridors of at most ``width``, and by shortcuts with twice as many rows.
+
+        End as soon as the cost is accepted.
+        """
         in_corridors = partial(shorten_in_corridors, width=width)
         for phase, method in enumerate((shorten, in_corridors, shorten)):
             if self.cost <= self.accepted_cost < math.inf:
@@ -309,7 +327,8 @@ class Run:
             if phase == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
                 continue  # after shortcuts, corridors gain little for a single robot
             if phase == 2:  # add a row in the middle of every motion
-                middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
+                middle = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
+                path = np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
             path = method(self.problem, path, self.test)
             self.end_phase("shorten")
@@ -337,13 +356,14 @@ class Run:
         if table is None:
             return state
         table.memory_use.release()
-        # Drop the rows at the end in which all robots wait.
+        # Drop the rows at the end in which all robots wait, but keep one (`argmin` is the number of equal last rows).
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _recorded(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
         """Record and return the path through lattice nodes ``state``, and its cost over the robots' least costs."""
-        path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
+        path = searches.joint.configurations(state)
+        least = float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
         cost = path_cost(self.problem, path)
@@ -357,8 +377,8 @@ class Run:
         return needed < self.options.max_memory
 
 
-_MOTION_BYTES = 92  # memory of a motion while its table is built
-_COLUMN_BYTES = 16  # memory per robot and node of costs-to-go and costs-to-come
+_MOTION_BYTES = 92  # bytes of a motion while its table is built
+_COLUMN_BYTES = 16  # bytes of costs-to-go and costs-to-come, per robot and node
 _TURNING = 4  # time of a motion test with turns, over the time without
 
 
@@ -382,8 +402,8 @@ def _num_motions_to_test(problem: Problem, step: float) -> float:
 _IDLE_STEPS = 8  # LaCAM: steps per robot without progress
 _EXPANSIONS = 1024  # best-first search: expansions, divided by the number of robots
 _EXPANSIONS_OF_PAIRS = 4096  # best-first search: expansions, divided by the squared number of robots
-_TERM_BYTES = 8  # memory of a term of the heuristic; given heuristics are stored twice
-_TURN_GROWTH = 1.5
+_TURN_GROWTH = 1.5  # ratio of the lengths of consecutive turns
+_TERM_BYTES = 8  # bytes of a term of the heuristic; given heuristics are stored twice
 
 
 class Searches:
@@ -404,20 +424,23 @@ class Searches:
 
     def run(self, bar: tqdm) -> Status | None:
         """Run each search for a while, longer at every call; return why one ended, or None if both may go on."""
-        budget, status = self.budget, None
-        num_robots, finds_all = len(self.joint.lattices), "lacam" in self.running
+        status = None
+        num_robots = len(self.joint.lattices)
+        finds_all = "lacam" in self.running  # LaCAM leaves out nothing
         if finds_all:
             status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
-        lacks_path = status is None and "bl" in self.searchers
-        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < budget.max_memory):
+        # Best-first search begins as soon as its tables fit into the memory. Without LaCAM, it must fit at once.
+        has_memory = "bl" in self.running or self.budget.memory + self.num_bytes_needed < self.budget.max_memory
+        if status is None and "bl" in self.searchers and has_memory:
             if "bl" not in self.running:
-                self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, budget)
+                self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, self.budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
             search = self.running["bl"]
             status = search.run(max(1, int(self.turn * expansions)), bar)
             assert isinstance(search, BestFirstSearch)
             if status is Status.MEMORY_LIMIT and not search.frontier:  # its beams were cut; LaCAM goes on
-                self.is_complete, status = finds_all, None if finds_all else Status.EXHAUSTED
+                self.is_complete = finds_all
+                status = None if finds_all else Status.EXHAUSTED
         elif not finds_all:
             return Status.MEMORY_LIMIT
         self.turn *= _TURN_GROWTH
@@ -446,8 +469,12 @@ class Searches:
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """Choose the first lattices' cell size: about the smallest robot's size, larger until ``fits(step)`` holds."""
-    # 1. Cells about as large as the smallest robot give it room to pass.
+    """Choose the cell size of the first lattices: about the size of the smallest robot, or larger.
+
+    Cells are larger for a crowd, and enlarged until ``fits(step)`` holds and few enough motions must be tested. With
+    ``may_be_packed``, robots that fill most of the free area get cells as wide as the widest robot.
+    """
+    # 1. Cells about as large as the smallest robot give it room to pass. Points have size 0.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
     size = min(size or _POINT_STEP * extent for size in sizes)
@@ -461,6 +488,7 @@ def first_step(
     # 3. Robots that fill most of the free area may move between cells of one robot each, as in a sliding puzzle.
     if may_be_packed and len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
+    # 4. Enlarge the cells while the lattices do not fit or their motions take long to test.
     while step < _COARSEST * extent and (_num_motions_to_test(problem, step) > _MAX_FIRST_TESTS or not fits(step)):
         step *= _REFINEMENT
     return step

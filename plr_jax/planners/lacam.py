@@ -23,13 +23,17 @@ Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
 JointNode: TypeAlias = Int[np.ndarray, " robots"]  # the lattice node of each robot
 Robots: TypeAlias = Int[np.ndarray, " m"]
 Neighbors: TypeAlias = list[list[tuple[int, list[Bits]]]]
+# Collisions of the team's motions:
 _MOST = 1 << 21  # pairs of motions tested at once, between two checks of the clock
-_FEW_PAIRS = 64  # up to so many pairs, testing is as fast as a lookup
+_FEW_PAIRS = 64  # up to so many pairs of robots, testing is as fast as a lookup
 _ALIGNED = 1 / 16  # share of the tolerance within which a configuration counts as the center of a cell
+# PIBT:
 _MOST_CHOICES = 100  # choices per robot in one step, after which no robot is asked to make way
 _MOST_FAILURES = 8  # failures of a robot to make way, after which it is not asked again
-_NODE_BYTES, _ROBOT_BYTES = 1_500, 60  # memory of a node, and of each of its robots
-_CONSTRAINT_BYTES = 100
+# LaCAM:
+_NODE_BYTES = 1_500  # bytes of a node
+_ROBOT_BYTES = 60  # bytes of each robot of a node
+_CONSTRAINT_BYTES = 100  # bytes of the constraints of one step
 _ROUNDING = 1e-9
 
 
@@ -55,8 +59,11 @@ class TeamMoves:
 
     def __call__(self, state: JointNode) -> Moves:
         """Return all robots' motions from a joint configuration, and the pairs of motions that collide."""
+        # 1. Find each robot's motions. `places`, `ends` and `free` have an array per kind: configurations
+        #    (robots, dof), end configurations (robots, primitives, dof), and which primitives hit no obstacle.
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
-        places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
+        places, ends, free = [], [], []
+        position = np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
             node = state[kind.members]
             target, cost = kind.motions(node)
@@ -70,19 +77,20 @@ class TeamMoves:
             position[kind.members] = places[-1][:, :2]
             free.append(np.isfinite(cost))
         for a, b, i, j in self._near(position):
-            # For robots of one kind, whole cells apart and with the usual motions of the lattice, only the number of
-            # cells between them decides which motions collide: look these up.
+            # 2. For robots of one kind, whole cells apart and with the usual motions of the lattice, only the number
+            #    of cells between them decides which motions collide: look these up.
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
-                kind, away = self.kinds[a], position[j] - position[i]
-                misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
-                    axis=2, where=free[a][..., None], initial=0
-                )
+                kind = self.kinds[a]
+                away = position[j] - position[i]
+                misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset)
+                misalignment = misalignment.max(axis=2, where=free[a][..., None], initial=0)
                 aligned = (misalignment < _ALIGNED * self.tolerance).all(axis=1)
                 cells = np.rint(away / kind.side)
                 on_grid = (np.abs(away - cells * kind.side) < _ALIGNED * self.tolerance).all(axis=1)
                 on_grid &= aligned[self.row[i]] & aligned[self.row[j]]
                 self._add_between_cells(a, i[on_grid], j[on_grid], cells[on_grid].astype(int), neighbors)
                 i, j = i[~on_grid], j[~on_grid]
+            # 3. Test all motions of all other pairs (axes: pairs, primitives of i, primitives of j).
             motions_a = places[a][self.row[i]][:, None, None], ends[a][self.row[i]][:, :, None]
             motions_b = places[b][self.row[j]][:, None, None], ends[b][self.row[j]][:, None]
             robots = self.kinds[a].robot, self.kinds[b].robot
@@ -97,19 +105,22 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        # By the cells from robot to other, `known_bits` has for each primitive of the robot those of the other that
-        # collide. The opposite key has them for each primitive of the other.
+        # The key of `known_bits` is the number of cells, along each axis, from one robot to the other. The value has,
+        # for each primitive of the first, the primitives of the other that collide with it. The opposite key has, for
+        # each primitive of the other, those of the first.
         known_bits, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, offsets.tolist())) for offsets in (cells, -cells))
+        # 1. Test the motions for new keys, from the origin and from the center of the other robot's cell.
         if new := list({*keys, *back} - known_bits.keys()):
-            apart, moves = (np.array(new) * kind.side)[:, None, None], kind.offset
-            ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
+            begin = (np.array(new) * kind.side)[:, None, None]
+            motions = np.zeros_like(begin), kind.offset[:, None]
+            others = begin, begin + kind.offset
             # Misalignments add up to at most 3/16 of the tolerance along each axis: half of it covers them.
-            collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
+            collide = ~motions_apart(kind.robot, *motions, kind.robot, *others, self.tolerance / 2, self.deadline)
             known_bits.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
+        # 2. Look up all pairs.
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
-            ours = known_bits[key]
-            if ours:
+            if ours := known_bits[key]:
                 neighbors[robot].append((other, ours))
                 neighbors[other].append((robot, known_bits[key_back]))
 
@@ -122,7 +133,9 @@ class TeamMoves:
         Each item has two kinds ``a <= b``, and for ``m`` pairs the robots of kind ``a`` and those of kind ``b``.
         """
         x, y = position.T
-        dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
+        dx, dy = x[:, None] - x, y[:, None] - y
+        reach = self.reach[:, None] + self.reach
+        # Each pair occurs once, first the robot of the kind with the smaller index.
         order = self.kind * self.num_robots + np.arange(self.num_robots)
         first, second = np.nonzero((dx * dx + dy * dy < reach * reach) & (order[:, None] < order))
         pairs = self.kind[first] * len(self.kinds) + self.kind[second]
@@ -145,15 +158,18 @@ class PIBT:
 
     def __init__(self, moves: Moves):
         self.moves = moves
-        self.chosen = [-1] * len(moves.ranked)
-        self.allowed: list[Bits] = [-1] * len(moves.ranked)
+        self.chosen = [-1] * len(moves.ranked)  # the primitive of each robot; -1: none yet
+        self.allowed: list[Bits] = [-1] * len(moves.ranked)  # -1 has all bits set
         self.num_left = _MOST_CHOICES * len(moves.ranked)
         self.num_failures = [0] * len(moves.ranked)
         self._robots: list[int] = []  # those that have chosen, in order
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        # A constraint fixes a robot's primitive.
+        """Return each robot's primitive, or None if none was found; robots choose in the given order.
+
+        A constraint is a robot and its prescribed primitive.
+        """
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -188,10 +204,8 @@ class PIBT:
         chosen[robot] = primitive
         self._robots.append(robot)
         for other, collide in self.moves.neighbors[robot]:
-            bits = collide[primitive]
-            if bits and chosen[other] < 0:
-                before = allowed[other]
-                if before & bits:
+            if (bits := collide[primitive]) and chosen[other] < 0:
+                if (before := allowed[other]) & bits:
                     self._changes.append((other, before))
                     allowed[other] = before & ~bits
                 if not allowed[other] & 1:
@@ -218,7 +232,7 @@ class Node:
     parent: "Node | None"
     priority: Float[np.ndarray, " robots"]  # steps since the start, or since the goal was left, plus a share below 1
     order: list[int]  # robots by priority, the highest first
-    constraints: deque[tuple[tuple[int, int], ...]]  # of the steps that are still to be tried from here
+    constraints: deque[tuple[tuple[int, int], ...]]  # of each step to try: prescribed robots and their primitives
 
 
 class LaCAM:
@@ -250,17 +264,19 @@ class LaCAM:
             if not node.constraints:
                 self.open.pop()
             else:
+                # 1. Take the next constraints, which prescribe the motions of the first robots in the node's order.
                 constraints = node.constraints.popleft()
                 moves = self.moves(node.state)
                 self.num_idle += 1
                 self.budget.num_expansions += 1
                 self.budget.num_children_scored += sum(map(len, moves.child))
+                # 2. Queue the same constraints with each motion of the next robot (breadth-first search).
                 if len(constraints) < len(node.order):
                     robot = node.order[len(constraints)]
                     node.constraints.extend((*constraints, (robot, primitive)) for primitive in moves.ranked[robot])
                     self.memory_use.add(_CONSTRAINT_BYTES * len(moves.ranked[robot]))
-                primitives = PIBT(moves).find(node.order, constraints)
-                if primitives is not None:
+                # 3. Let PIBT choose the motions of all other robots.
+                if (primitives := PIBT(moves).find(node.order, constraints)) is not None:
                     self.budget.num_children_valid += 1
                     self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
                 if progress is not None:
@@ -282,10 +298,9 @@ class LaCAM:
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
-        """Open the node of a joint state; a new one gets the order in which its robots choose motions."""
+        """Put a joint state's node on the stack; a new node gets the order in which its robots choose motions."""
         key = state.astype(np.int32).tobytes()
-        node = self.nodes.get(key)
-        if node is None:
+        if (node := self.nodes.get(key)) is None:
             arrived: Bool[np.ndarray, " robots"] = state == self.goal
             before = self.rest_priority if parent is None else parent.priority + 1
             priority = np.where(arrived, self.rest_priority, before)
@@ -295,7 +310,7 @@ class LaCAM:
             self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.goal_node = node
-            estimate = float(self.moves.estimates(state).sum())
-            if estimate < (1 - _ROUNDING) * self.least_estimate:
-                self.least_estimate, self.num_idle = estimate, 0
+            if (estimate := float(self.moves.estimates(state).sum())) < (1 - _ROUNDING) * self.least_estimate:
+                self.least_estimate = estimate
+                self.num_idle = 0
         self.open.append(node)

@@ -29,18 +29,21 @@ from plr_jax.robots.robot import Robot
 # Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
 _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
 PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
-_GOALS, _NODES = 8, 1 << 19  # most goals, and most nodes times goals, of one Dijkstra call, which has no deadline
-_SECONDS = 3e-7  # estimated time of a Dijkstra call, in seconds per node
+# One call of Dijkstra's algorithm, which SciPy does not interrupt at the deadline:
+_GOALS = 8  # most goals
+_NODES = 1 << 19  # most nodes times goals
+_SECONDS = 3e-7  # estimated time, in seconds per node
+# Building of a lattice:
 _SAMPLES = 7  # samples per axis in a cell whose center is blocked
-_WIDEST_TURN = np.pi / 4
-_ROUNDING = 1e-9
+_WIDEST_TURN = np.pi / 4  # widest cell along the heading, in radians
+_ROUNDING = 1e-9  # share of a cell by which a width may exceed whole cells
 _MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
 _CHUNK = 1 << 12  # cells at a time, between two checks of the clock
-Cells: TypeAlias = Int[np.ndarray, " n"]
+Ends: TypeAlias = Float[np.ndarray, " n #primitives dof"]  # ends of motions
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: for each robot, a node of its lattice
-Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # child and cost
+Primitives: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # end node and cost
 
 
 class Terminals(NamedTuple):
@@ -49,7 +52,7 @@ class Terminals(NamedTuple):
     node: Int[np.ndarray, "robots 2"]  # node of each terminal
     cell: Int[np.ndarray, "robots 2"]  # node of each terminal's cell, which the terminal replaces for its robot
     # Begin nodes (-1: none) and costs (inf: not free) of the motions into each terminal, by primitive. Third axis:
-    # motions from the nodes of cells, or from the robot's other terminal. No motion leads to both terminals.
+    # 0: motions from the nodes of cells; 1: from the robot's other terminal. No motion leads to both terminals.
     begin: Int[np.ndarray, "robots 2 2 primitives"]
     cost: Float[np.ndarray, "robots 2 2 primitives"]
 
@@ -75,37 +78,44 @@ class Kind:
     terminals: Terminals
 
     def __post_init__(self) -> None:
-        q, terminals, moves = self.q, self.terminals, np.nonzero(np.isfinite(self.cost))
+        # 1. List the edges as columns (begin, end, cost): shared ones, those into terminals, and the dummy edge.
+        terminals = self.terminals
+        moves = np.nonzero(np.isfinite(self.cost))  # node and primitive
         shared = moves[0], self.child[moves], self.cost[moves]
-        enters = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
-        into_ends = terminals.begin[enters], terminals.node[enters[:2]], terminals.cost[enters]
-        nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
-        self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
+        enters = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))  # sorted by robot
+        into_terminals = terminals.begin[enters], terminals.node[enters[:2]], terminals.cost[enters]
+        dummy = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
+        self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_terminals, dummy, strict=True))
+        # 2. The dummy edge has the index `num_edges`. `terminal_edges` has an array of edges for each robot.
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
-        self.terminal_edges = np.split(
-            np.arange(self.num_shared, self.num_edges), np.searchsorted(enters[0], np.arange(1, len(self.members)))
-        )
-        x, y = (q[self.end] - q[self.begin])[:, :2].T
+        first = np.searchsorted(enters[0], np.arange(1, len(self.members)))  # of each robot but the first one
+        self.terminal_edges = np.split(np.arange(self.num_shared, self.num_edges), first)
+        x, y = (self.q[self.end] - self.q[self.begin])[:, :2].T
         # The farthest that a motion takes the body from the motion's begin.
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
-    def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Leads:
-        """Return the end node and cost of each primitive from nodes of robot ``members[row]``."""
-        # By default, ``node`` has a node per robot. Motions into starts and goals replace motions into their cells.
+    def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Primitives:
+        """Return the end node and cost of each primitive from nodes of robot ``members[row]``.
+
+        By default, ``node`` holds one node for each robot of ``members``.
+        """
         child, cost = self.child[node], self.cost[node]
+        # Replace motions into the cells of the robot's terminals by motions into the terminals. Axes of `enters`:
+        # index in `node`; start or goal; from a cell's node or from the other terminal; primitive.
         enters = self.terminals.begin[row] == node[:, None, None, None]
-        at, *_, primitive = np.nonzero(enters)
-        entry = np.broadcast_to(self.terminals.cost[row], enters.shape)[enters]
-        end = np.broadcast_to(self.terminals.node[row][..., None, None], enters.shape)[enters]
-        child[at, primitive] = np.where(np.isfinite(entry), end, node[at])
-        cost[at, primitive] = entry
+        index, *_, primitive = np.nonzero(enters)
+        cost_into = np.broadcast_to(self.terminals.cost[row], enters.shape)[enters]
+        terminal = np.broadcast_to(self.terminals.node[row][..., None, None], enters.shape)[enters]
+        child[index, primitive] = np.where(np.isfinite(cost_into), terminal, node[index])
+        cost[index, primitive] = cost_into
         return child, cost
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        # Each column lists the shared edges into a node; dummy edges fill it up.
+        # Each column lists the shared edges into a node, then dummy edges. The only one into a terminal is to stay.
         order = np.argsort(self.end[: self.num_shared], kind="stable")
-        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
+        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges in this order
+        # In a terminal's column, `edges_into_nodes` needs room for the terminal edges below the edge that stays.
         size = max(int(rank.max()) + 1, 1 + max(len(edges) for edges in self.terminal_edges))
         into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = order
@@ -113,8 +123,9 @@ class Kind:
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
         """Return, in each node's column, the edges into it that robot ``members[row]`` may use, then dummy edges."""
-        into, terminal_edges = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
-        into[:, self.terminals.cell[row]] = self.num_edges
+        into = self._shared_edges_into_nodes.copy()
+        terminal_edges = self.terminal_edges[row]
+        into[:, self.terminals.cell[row]] = self.num_edges  # the robot's terminals replace these nodes
         for node in self.terminals.node[row]:
             edges = terminal_edges[self.end[terminal_edges] == node]
             into[1 : 1 + len(edges), node] = edges  # after the edge that stays in place
@@ -122,34 +133,42 @@ class Kind:
 
     @cached_property
     def _edges_and_sorted_keys(self) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+        # Edges sorted by begin, end, and cost. Equal begins and ends have equal keys, of which the first is cheapest.
         key = self.begin[:-1] * len(self.q) + self.end[:-1]
         order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, " steps"]) -> Int[np.ndarray, "motions"]:
+        """Return the cheapest edge from each node of a path to the next node; every such edge must exist."""
         order, key = self._edges_and_sorted_keys
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
     def _cheapest_shared_edges(self) -> Int[np.ndarray, " m"]:
+        # One edge per begin and end, since `csr_array` adds up the costs of several.
         order, key = self._edges_and_sorted_keys
         edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
         return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
     def costs_to_go(self, rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n nodes"]:
-        # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
-        num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
-        search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
+        # Search along reversed edges, from an extra node per goal. Only the motions into the goal leave it. (If they
+        # left the goal's own node, other robots' paths could pass it.) Paths may pass the representative of the
+        # start's cell.
+        num_nodes, searches = len(self.q), np.arange(len(rows))
+        goals = self.terminals.node[rows, 1]
+        shared = self._cheapest_shared_edges
         terminal_edges = np.concatenate([self.terminal_edges[row] for row in rows])
+        search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])  # of each terminal edge
         into_goal = self.end[terminal_edges] == goals[search]
-        edge = np.append(self._cheapest_shared_edges, terminal_edges[into_goal])
-        begin = np.append(self.end[self._cheapest_shared_edges], num_nodes + search[into_goal])
-        graph = csr_array((self.edge_cost[edge], (begin, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
+        edge = np.append(shared, terminal_edges[into_goal])
+        end = np.append(self.end[shared], num_nodes + search[into_goal])
+        graph = csr_array((self.edge_cost[edge], (end, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
         costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
         return costs
 
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, " nodes"]:
+        # Along shared edges, which do not enter the goal: its cost is inf unless it equals the start.
         edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
         return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
@@ -163,7 +182,7 @@ class Lattice:
         self.start, self.goal = kind.terminals.node[row].tolist()
 
     @cached_property
-    def _motions(self) -> Leads:
+    def _motions(self) -> Primitives:
         return self.kind.motions(np.arange(len(self.q)), self.row)
 
     @property
@@ -218,9 +237,12 @@ class JointLattice:
     ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
         """Return the rows of ``state`` in which two robots are near, and which of their primitives collide there."""
         a, b = self.lattices[i], self.lattices[j]
-        qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
+        qa, qb = a.q[state[:, i]], b.q[state[:, j]]
+        # 1. Robots are near if their bodies might meet in one motion from there.
+        reach = a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
         near = np.flatnonzero(x * x + y * y < reach * reach)
+        # 2. Test each primitive of one robot (second axis) against each one of the other (third axis).
         motions_a = qa[near, None, None], a.q[a.child[state[near, i]]][:, :, None]
         motions_b = qb[near, None, None], b.q[b.child[state[near, j]]][:, None, :]
         return near, ~self.test.apart(i, *motions_a, j, *motions_b)
@@ -244,21 +266,26 @@ class CellGrid(NamedTuple):
         self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
         """Add starts and goals of robots ``members`` of a team as nodes, and return the motions of these robots."""
-        num_robots, ends = len(starts), np.concatenate([starts, goals])
-        # The cells of starts and goals; outside the grid, the nearest cells.
-        index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
-        index[:, 2:] %= size[2:]
-        cells = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, size - 1).T), self.shape))
+        # Arrays of terminals hold all starts, then all goals. Rolled by `num_robots`, they hold the other terminal of
+        # the same robot.
+        num_robots = len(starts)
+        poses = np.concatenate([starts, goals])
+        # The cells of the terminals; outside the grid, the nearest cells.
+        index = np.floor((poses - self.lo) / self.side).astype(np.intp)
+        modes = ("clip", "clip", "wrap")[: len(self.shape)]
+        cells = np.asarray(np.ravel_multi_index(tuple(index.T), self.shape, mode=modes))
         differ = straight_costs(starts, goals, 1.0) > 0
-        motions, (occupied, first) = self, np.unique(cells, return_index=True)
-        # 1. A start or goal represents its cell if nothing else does. Test all motions from and to this cell.
+        # 1. A start or goal represents its cell if nothing else does. Test all motions from and to this cell. Change
+        #    copies of the arrays, since the grid may be cached.
+        motions = self
+        occupied, first = np.unique(cells, return_index=True)
         missing = ~self.free[occupied]
         if missing.any():
             motions = self._replace(**{name: getattr(self, name).copy() for name in ("q", "free", "child", "cost")})
             new = occupied[missing]
-            motions.q[new], motions.free[new] = ends[first[missing]], True
-            around, leads = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
-            motions.connect(np.union1d(new, around[leads]))
+            motions.q[new], motions.free[new] = poses[first[missing]], True
+            around, is_possible = motions.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
+            motions.connect(np.union1d(new, around[is_possible]))
         # 2. Add a primitive between a start and a goal in the same cell.
         if (differ & (cells[:num_robots] == cells[num_robots:])).any():
             motions = motions._replace(
@@ -266,34 +293,41 @@ class CellGrid(NamedTuple):
                 child=np.append(motions.child, np.arange(len(motions.q))[:, None], axis=1),
                 cost=np.append(motions.cost, np.full((len(motions.q), 1), np.inf), axis=1),
             )
-        # 3. Build the table: motions from representatives, then motions from starts and goals.
+        # 3. Build the table: a row per representative, then a row per terminal. `nodes[cell]` is the node of a cell.
         free, offsets = motions.free, motions.offsets
-        nodes, end_nodes = np.cumsum(free) - 1, int(free.sum()) + np.arange(len(ends))
+        nodes, terminal_nodes = np.cumsum(free) - 1, int(free.sum()) + np.arange(len(poses))
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
-        target, leads = motions.neighbors(cells, offsets)
-        cost = motions.costs(leads, ends[:, None], motions.q[target])
-        away = np.where(np.isfinite(cost), nodes[target], end_nodes[:, None])
-        cost[:, 0] = 0.0
-        q, cost = np.concatenate([motions.q[free], ends]), np.concatenate([motions.cost[free], cost])
-        child = np.concatenate([child, away], dtype=np.int32)
-        # 4. Find the motions into starts and goals. A goal equal to the start, up to whole turns, is the same node.
-        end_nodes[:num_robots][~differ] += num_robots
-        others, others_nodes, others_cells = (np.roll(row, num_robots, axis=0) for row in (ends, end_nodes, cells))
-        same_cell = cells == others_cells
+        target, is_possible = motions.neighbors(cells, offsets)
+        cost = motions.costs(is_possible, poses[:, None], motions.q[target])
+        child_of_terminals = np.where(np.isfinite(cost), nodes[target], terminal_nodes[:, None])
+        cost[:, 0] = 0.0  # the terminal stays in place
+        q, cost = np.concatenate([motions.q[free], poses]), np.concatenate([motions.cost[free], cost])
+        child = np.concatenate([child, child_of_terminals], dtype=np.int32)
+        # 4. Find the motions into terminals: each primitive from the node of the previous cell (`into`), or from the
+        #    robot's other terminal if that is in the previous cell (`across`).
+        #
+        #             previous cell             terminal's cell
+        #        [ node or other terminal ] ---> [ terminal ]
+        #
+        #    A goal equal to the start, up to whole turns, is the same node.
+        terminal_nodes[:num_robots][~differ] += num_robots
+        other_poses, other_nodes, other_cells = (np.roll(x, num_robots, 0) for x in (poses, terminal_nodes, cells))
+        same_cell = cells == other_cells
         previous, enters = motions.neighbors(cells, -offsets)
-        crosses = enters & (previous == others_cells[:, None])
-        crosses[:, -1] |= same_cell & (end_nodes != others_nodes)
-        into = motions.costs(enters, motions.q[previous], ends[:, None])
-        across = motions.costs(crosses, others[:, None], ends[:, None])
+        crosses = enters & (previous == other_cells[:, None])
+        crosses[:, -1] |= same_cell & (terminal_nodes != other_nodes)  # by the primitive of step 2
+        into = motions.costs(enters, motions.q[previous], poses[:, None])
+        across = motions.costs(crosses, other_poses[:, None], poses[:, None])
         # Motions into a cell with start and goal lead to the goal, or if that is blocked, to the start.
         to_goal = np.isfinite(into[num_robots:])
         enters &= ~same_cell[:, None] | np.concatenate([~to_goal, to_goal])
-        begin = np.where(enters, nodes[previous], -1), np.where(crosses, others_nodes[:, None], -1)
-        columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
-        all_ends = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
-        return Kind(robot, members, q, child, cost, self.side, offsets * self.side, all_ends)
+        begin = np.where(enters, nodes[previous], -1), np.where(crosses, other_nodes[:, None], -1)
+        # 5. Turn rows of starts, then goals, into a row per robot with a column for each of the two.
+        columns = terminal_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
+        terminals = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
+        return Kind(robot, members, q, child, cost, self.side, offsets * self.side, terminals)
 
-    def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
+    def neighbors(self, cells: Int[np.ndarray, " n"], offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
         """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
@@ -302,11 +336,7 @@ class CellGrid(NamedTuple):
         return cell, exists & self.free[cell] & (cell != cells[:, None])
 
     def costs(
-        self,
-        possible: Bool[np.ndarray, "n primitives"],
-        begin: Float[np.ndarray, " n #primitives dof"],
-        end: Float[np.ndarray, " n #primitives dof"],
-        deadline: float = math.inf,
+        self, possible: Bool[np.ndarray, "n primitives"], begin: Ends, end: Ends, deadline: float = math.inf
     ) -> Float[np.ndarray, "n primitives"]:
         """Return the costs of straight motions, ``inf`` for motions that are not ``possible`` or hit an obstacle."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
@@ -316,10 +346,11 @@ class CellGrid(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, " n"], deadline: float = math.inf) -> None:
-        child, leads = self.neighbors(cells, self.offsets)
+        """Test all motions that begin in the given cells, and write their end cells and costs into the grid."""
+        child, is_possible = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
-        leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
-        cost = self.costs(leads, self.q[cells][:, None], self.q[child], deadline)
+        is_possible &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
+        cost = self.costs(is_possible, self.q[cells][:, None], self.q[child], deadline)
         cost[:, 0] = np.where(self.free[cells], 0.0, np.inf)
         self.child[cells], self.cost[cells] = child, cost
 
@@ -360,45 +391,49 @@ def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, de
 
 
 def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> CellGrid:
-    # Cells are at most a step wide. Headings are centered on the axes, the most frequent directions of hallways.
+    # 1. Divide the bounds into cells at most a step wide. Headings are centered on the axes, the most frequent
+    #    directions of hallways.
     lo, width = workspace.bounds.lo, workspace.bounds.width
     shape = np.maximum(1, np.ceil(width / step - _ROUNDING)).astype(int)
     side = width / shape
     if robot.dof == 3:
         turn = min(step / robot.circumscribed_radius, _WIDEST_TURN)
-        quarters = int(np.ceil(np.pi / 2 / turn - _ROUNDING))
-        shape, side = np.append(shape, 4 * quarters), np.append(side, np.pi / 2 / quarters)
+        per_quarter = int(np.ceil(np.pi / 2 / turn - _ROUNDING))  # cells per quarter of a full turn
+        shape, side = np.append(shape, 4 * per_quarter), np.append(side, np.pi / 2 / per_quarter)
         lo = np.append(lo, -side[2] / 2)
-    test, dof, num_positions = motion_test(workspace, robot, deadline), len(shape), shape[0] * shape[1]
+    test = motion_test(workspace, robot, deadline)
     axes = [first + (np.arange(n) + 0.5) * width for first, n, width in zip(lo, shape, side, strict=True)]
     q = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-    offsets = np.array([(0, 0, 0), *(p for p in PRIMITIVES if dof == 3 or p[2] == 0)])[:, :dof]
-    child, per_position = np.empty((len(q), len(offsets)), dtype=np.intp), len(q) // num_positions
+    offsets = np.array([(0, 0, 0), *(p for p in PRIMITIVES if robot.dof == 3 or p[2] == 0)])[:, : robot.dof]
+    child = np.empty((len(q), len(offsets)), dtype=np.intp)
     free, cost = np.empty(len(q), dtype=bool), np.empty(child.shape)
     motions = CellGrid(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, cost)
+    per_position = len(q) // (shape[0] * shape[1])  # adjacent cells of equal position, one per heading
     size = max(1, _CHUNK // per_position) * per_position  # whole positions
     chunks = [slice(begin, min(begin + size, len(q))) for begin in range(0, len(q), size)]
 
-    def stands_free(at: Configurations) -> Bool[np.ndarray, " n"]:
-        return test(at, at, deadline) & ~test.is_at_contact(at)
+    def stands_free(q: Configurations) -> Bool[np.ndarray, " n"]:
+        return test(q, q, deadline) & ~test.is_at_contact(q)
 
-    # 1. Choose representatives: a sample if the center is blocked and the robot might fit into the cell.
+    # 2. Choose representatives: a sample if the center is blocked and the robot might fit into the cell. (Clearance
+    #    grows by at most the distance from the center, which is at most half a diagonal of the cell.)
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    pattern, reach = np.array(list(product(along, along))) * side[:2], np.hypot(*side[:2]) / 2
+    pattern, half_diagonal = np.array(list(product(along, along))) * side[:2], np.hypot(*side[:2]) / 2
     for cells in chunks:
         require_time(deadline, "the lattice was built")
-        at = q[cells]
-        free = stands_free(at)
-        clearance = np.repeat(workspace.clearance(at[::per_position, :2]), per_position)
-        blocked = np.flatnonzero(~free & (clearance + reach >= robot.inscribed_radius))
-        samples = np.repeat(at[blocked], len(pattern), axis=0)
+        representatives = q[cells]  # a view of the centers, which samples may replace
+        is_free = stands_free(representatives)
+        clearance = np.repeat(workspace.clearance(representatives[::per_position, :2]), per_position)
+        blocked = np.flatnonzero(~is_free & (clearance + half_diagonal >= robot.inscribed_radius))
+        samples = np.repeat(representatives[blocked], len(pattern), axis=0)
         samples[:, :2] += np.tile(pattern, (len(blocked), 1))
-        room, is_free = np.full(len(samples), -np.inf), stands_free(samples)
-        room[is_free] = workspace.clearance(samples[is_free, :2])
-        best = np.arange(len(blocked)) * len(pattern) + room.reshape(-1, len(pattern)).argmax(axis=1)
-        at[blocked], free[blocked] = samples[best], is_free[best]
-        motions.free[cells] = free
-    # 2. Test the motions between representatives.
+        is_sample_free = stands_free(samples)
+        score = np.full(len(samples), -np.inf)
+        score[is_sample_free] = workspace.clearance(samples[is_sample_free, :2])
+        best = np.arange(len(blocked)) * len(pattern) + score.reshape(-1, len(pattern)).argmax(axis=1)
+        representatives[blocked], is_free[blocked] = samples[best], is_sample_free[best]
+        motions.free[cells] = is_free
+    # 3. Test the motions between representatives.
     for cells in chunks:
         require_time(deadline, "the lattice was built")
         motions.connect(np.arange(cells.start, cells.stop), deadline)

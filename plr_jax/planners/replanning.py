@@ -27,14 +27,15 @@ from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-Planner: TypeAlias = Callable[[Problem], Solution]
-_DEFAULT_OPTIONS = BLOptions()
-_MOST_STATES = 20_000  # most states expanded for one robot
+_DEFAULTS = BLOptions()
+_ROUNDING = 1e-9
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
+# For `replan`:
+_MOST_STATES = 20_000  # most states expanded for one robot
+# For `lifelong`, whose time is counted in rows of the timetable:
 _WINDOW = 15  # rows after which waiting robots are replanned at the latest
 _PATIENCE = 2 * _WINDOW  # rows for which a robot that has arrived, or waits, blocks others
-_FEW_STATES = 600  # most states expanded for one robot of a lifelong run, which otherwise goes only part of its way
-_ROUNDING = 1e-9
+_FEW_STATES = 600  # most states expanded for one robot, which otherwise goes only part of its way
 _LATE = 10  # rows later than on a straight line, above which a robot is replanned
 _MOST_IDLE = 5  # how often the next arrival is put off, or none is planned, before the whole team is planned
 
@@ -43,7 +44,7 @@ def replan(
     problem: Problem,
     solution: Solution,
     at: float | int,
-    options: BLOptions = _DEFAULT_OPTIONS,
+    options: BLOptions = _DEFAULTS,
     standing: Sequence[int] = (),
 ) -> Solution:
     """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
@@ -76,15 +77,14 @@ def replan(
             ``solution.path_at(at)`` by more than the workspace's tolerance, or ``at`` or ``standing`` is invalid.
     """
     require_problem_and_options(problem, options)
-    began, num_robots = time.perf_counter(), len(problem.robots)
+    began = time.perf_counter()
     # 1. Check the standing robots.
-    expected = f"standing must be indices of the {num_robots} robots"
+    expected = f"standing must be indices of the {len(problem.robots)} robots"
     if not isinstance(standing, Iterable):
         raise ValueError(f"{expected}, as a list, got {shortened(standing)}.")
-    robots = [*standing]
-    for i in robots:
+    for i in (robots := [*standing]):
         require_integer("standing", i, 0)
-        if i >= num_robots:
+        if i >= len(problem.robots):
             raise ValueError(f"{expected}, got {i}.")
         if (problem.starts[i] != problem.goals[i]).any():
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
@@ -104,12 +104,11 @@ def replan(
         i = int(apart.argmax())
         where = f"where the solution has the robots then, solution.path_at({at:g})"
         raise ValueError(f"starts must be {where}: robot {i} is {apart[i]:.3g} away from there.")
-    rest = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
+    remaining = np.concatenate([problem.starts[None], solution.path[solution.times > at]])
     # 3. Replan robots whose motions no longer lead to their goals.
     step = options.step or first_step(problem)
-    timetable = Timetable(
-        problem, subdivided(problem, rest, step / ROWS_PER_STEP), deadline=began + options.time_limit
-    )
+    path = subdivided(problem, remaining, step / ROWS_PER_STEP)
+    timetable = Timetable(problem, path, deadline=began + options.time_limit)
     try:
         status = Status.SOLVED if _replan(problem, timetable, step, fixed) else Status.EXHAUSTED
     except TimeoutError:
@@ -134,6 +133,7 @@ def replan(
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
     """Replan robots, except ``fixed`` ones, until the path of each robot ends at its goal; return whether it does."""
     # ``step`` is the cell size of the lattices.
+    # 1. Find the robots whose motions do not end at their goals, or hit a wall. They block nobody until replanned.
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
@@ -149,19 +149,23 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         timetable.ignored.update(others)
         todo.extend(others)
 
+    # 2. Let fixed robots stand, then let all others make way for them.
     for i in fixed:
         timetable.move(i, timetable.path[:1, i])
     for i in fixed:
         make_way(i, timetable.path[:, i])
+    # 3. Replan one robot after the other. A robot that finds no path among the others is planned among the fixed ones
+    #    alone, and robots in its way are replanned after it.
     for _ in range(_ATTEMPTS * num_robots):
         if not todo:
             return True
         i = todo.pop(0)
         motion, arrives = plan_through_time(timetable, i, step, _MOST_STATES)
         if motion is None or not arrives:
-            others, timetable.ignored = timetable.ignored, {*range(num_robots)} - fixed
+            ignored = timetable.ignored
+            timetable.ignored = {*range(num_robots)} - fixed
             motion, arrives = plan_through_time(timetable, i, step, _MOST_STATES)
-            timetable.ignored = others
+            timetable.ignored = ignored
             if motion is None or not arrives:
                 return False
             make_way(i, motion)
@@ -200,8 +204,8 @@ def lifelong(
     problem: Problem,
     next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
     num_goals: int,
-    options: BLOptions = _DEFAULT_OPTIONS,
-    plan: Planner | None = None,
+    options: BLOptions = _DEFAULTS,
+    plan: Callable[[Problem], Solution] | None = None,
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
@@ -247,25 +251,30 @@ def lifelong(
 class _LifelongTeam:
     """State of a lifelong run: the motions planned from now on, the goals, and a record of the motions made."""
 
-    def __init__(self, problem: Problem, options: BLOptions, plan: Planner | None):
-        self.problem, self.options, self.plan = problem, options, plan  # goals of the problem never overlap
-        self.requested_goals, self.path = problem.starts.copy(), problem.starts[None]  # the path from now on
+    def __init__(self, problem: Problem, options: BLOptions, plan: Callable[[Problem], Solution] | None):
+        # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
+        self.problem, self.options, self.plan = problem, options, plan
+        self.path = problem.starts[None]  # from now on
+        self.requested_goals = problem.starts.copy()  # keeps the heading of robots without one
         for i, robot in enumerate(problem.robots):
             self.requested_goals[i, : robot.dof] = problem.goals[i, : robot.dof]
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, " dof"]]] = []  # robot, row and goal
-        self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
+        self._done, self._num_rows = [problem.starts[None]], 0  # parts of the path until now, and its motions
+        self._seconds: list[float] = []
         self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
-        self._num_from_nothing, self._num_idle = 0, 0  # idle: how often the next planned arrival was put off
+        self._num_from_nothing = 0
+        self._num_idle = 0  # how often the next planned arrival was put off, or none was planned
         self._due = math.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
         """Plan the whole team without regard to its present plan."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
         solution = plan(self._current_problem(self.problem.goals))
-        self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
+        self._num_from_nothing += 1
+        self._num_idle = 0
         if solution.path is None or solution.status is Status.INTERRUPTED:
             return solution.status
         self.path = solution.path if self.plan else subdivided(self.problem, solution.path, self.length)
@@ -273,31 +282,36 @@ class _LifelongTeam:
 
     def advance(self) -> list[int]:
         """Move the team until a robot arrives or replanning is due; return which robots arrive."""
+        # 1. Find the next row in which a robot arrives, else the last row, or the present one if all robots are at
+        #    their goals. A robot that is at its goal now is served with the next one that arrives, so that no other
+        #    robot starves.
         is_there = (self.path == self.requested_goals).all(axis=2)
-        # A robot whose goal is its place is served with the next robot that arrives, so that no other robot starves.
         arrivals = np.flatnonzero(is_there[:, ~is_there[0]].any(axis=1))
         arrival = int(arrivals[0]) if len(arrivals) else 0 if is_there[0].all() else len(self.path) - 1
+        # 2. Move the team to this row, or to the row in which waiting robots are replanned at the latest.
         row = arrival if self.plan else min(arrival, _WINDOW)
         self._done.append(self.path[1 : row + 1])
-        self._num_rows, self.path = self._num_rows + row, self.path[row:]
+        self._num_rows += row
+        self.path = self.path[row:]
+        # 3. Serve the robots that are at their goals now, unless the next one arrives later.
         arrived = np.flatnonzero(is_there[row]).tolist() if row == arrival or not len(arrivals) else []
         self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 
     def assign(self, i: int, goal: ArrayLike) -> None:
         expected = f"numbers of shape ({self.problem.dof},)"
-        shape, robot = as_numbers(f"The next goal of robot {i}", goal, expected).shape, self.problem.robots[i]
-        if shape != (self.problem.dof,):
+        if (shape := as_numbers(f"The next goal of robot {i}", goal, expected).shape) != (self.problem.dof,):
             raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {shape}.")
-        pose = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]  # without the heading if it has none
-        self.requested_goals[i, : robot.dof], self._since[i] = pose, self._num_rows
+        robot = self.problem.robots[i]
+        # Without the heading if the robot has none.
+        self.requested_goals[i, : robot.dof] = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]
+        self._since[i] = self._num_rows
         self._due, self._num_idle = math.inf, 0
 
     def replan(self) -> Status:
         """Plan for the requested goals, as far as they are possible, from the team's present places on."""
         began = time.process_time()
-        goals = self._possible_goals()
-        if (goals != self.problem.goals).any():
+        if ((goals := self._possible_goals()) != self.problem.goals).any():
             self.problem = self._current_problem(goals)
         try:
             status = self.plan_from_nothing() if self.plan else self._replan_waiting()
@@ -321,6 +335,8 @@ class _LifelongTeam:
 
     def _possible_goals(self) -> Goals:
         """Return the requested goals, but a robot's previous goal if the requested one overlaps another robot's."""
+        # Going back to a previous goal may cause another overlap, so all new goals are then tested again. This ends,
+        # since previous goals never overlap, and a goal that went back stays.
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
         goals, before = self.requested_goals.copy(), self.problem.goals
@@ -338,19 +354,23 @@ class _LifelongTeam:
 
     def _replan_waiting(self) -> Status:
         """Replan robots whose motions soon end before their goals, robots in their way, and the most delayed one."""
-        problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
-        timetable = Timetable(problem, self.path, _PATIENCE, deadline)
+        problem = self.problem
+        timetable = Timetable(problem, self.path, _PATIENCE, time.perf_counter() + self.options.time_limit)
+        # 1. Count how often the next arrival was put off, or none is planned. Robots that wait, or stand at their
+        #    goals, do not arrive.
         waits = (self.path[-1] != self.requested_goals).any(axis=1)
         due = self._num_rows + np.where(waits | (timetable.ends == 0), math.inf, timetable.ends).min()
         self._num_idle += due > self._due or due == math.inf
         self._due = due
+        # 2. Replan the robots whose motions soon end before their goals, in the order in which they got their goals.
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))
         todo = todo[np.argsort(self._since[todo], kind="stable")].tolist()
         num_left = 0 if self._num_idle > _MOST_IDLE else _ATTEMPTS * len(todo)
         while todo:
             if not num_left:
                 return self.plan_from_nothing()
-            i, num_left = todo.pop(0), num_left - 1
+            i = todo.pop(0)
+            num_left -= 1
             motion, _ = plan_through_time(timetable, i, self.step, _FEW_STATES)
             if motion is None:
                 # The robot stays in place. Robots that would have passed there are replanned.
@@ -358,7 +378,7 @@ class _LifelongTeam:
                 row, other = timetable.meetings(i, motion)
                 todo += sorted({*other[row < _PATIENCE].tolist()} - {*todo})
             timetable.move(i, motion)
-        # Replan the robot that arrives latest, compared to its straight line, and keep the plan if it is sooner.
+        # 3. Replan the robot that arrives latest, compared to its straight line. Keep the plan if it is no slower.
         is_bound = (timetable.path[-1] == self.requested_goals).all(axis=1)
         straight = straight_costs(self.path[0], self.requested_goals, problem.rotation_weights) / self.length
         late = np.where(is_bound & (self._num_rows >= self._hurried + _WINDOW), timetable.ends - straight, 0.0)

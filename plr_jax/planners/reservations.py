@@ -16,9 +16,14 @@ from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
 
-_CHUNK, _PAIRS = 256, 1 << 13  # most edges, and pairs of edges, at a time: they fit into the processor's cache
-_ENTRY_BYTES = 200  # memory of an edge whose colliding edges are cached, without those edges
-_EDGE_BYTES, _NODE_BYTES = 2, 8  # memory per step of an edge, and of a node while a robot is replanned
+# Tests of colliding edges; what is tested at a time fits into the processor's cache:
+_CHUNK = 256  # most edges at a time
+_PAIRS = 1 << 13  # pairs of edges at a time, about
+# Memory:
+_ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without those edges
+_EDGE_BYTES = 2  # bytes of an edge, per step
+_NODE_BYTES = 8  # bytes of a node while a robot is replanned, per step
+# Replanning:
 _ROUNDING = 1e-9
 _GAIN = 1e-2  # rounds of replanning stop if one saves a smaller share of the cost
 _NEIGHBORHOOD = 5  # robots in a neighborhood
@@ -34,13 +39,15 @@ class ReservationTable:
         self.memory_use.add(num_bytes_of_table(joint, len(state)))
         self._costs_to_come: dict[int, np.ndarray] = {}
         self._colliding_edges: defaultdict[tuple[int, int], dict[int, Edges]] = defaultdict(dict)  # by pair of kinds
-        self._chunk = defaultdict(lambda: 1)  # edges tested at a time, adapted to their number of neighbors
-        self.kind_and_row = {
-            int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
-        }
-        size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
-        self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in self.kinds]
-        # For each kind, a tree of the node positions, and the edges sorted by begin node.
+        self._chunk = defaultdict(lambda: 1)  # by pair of kinds: edges tested at a time, adapted to their neighbors
+        members = [kind.members.tolist() for kind in self.kinds]
+        self.kind_and_row = {i: (k, row) for k, robots in enumerate(members) for row, i in enumerate(robots)}
+        # Counts of robots by step and edge, for each kind. -1 is added to undo reservations, so the type is signed;
+        # it has room for twice as many robots.
+        count_type = np.min_scalar_type(-2 * state.shape[1])
+        self.blocked = [np.zeros((len(state) - 1, kind.num_edges + 1), count_type) for kind in self.kinds]
+        # For each kind, a tree of the node positions, the edges sorted by begin node, and the index of each node's
+        # first edge among them.
         self._near: list[tuple[KDTree, Edges, Edges]] = []
         for kind in self.kinds:
             begin = kind.begin[: kind.num_edges]
@@ -48,8 +55,7 @@ class ReservationTable:
             first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
             self._near.append((KDTree(kind.q[:, :2]), order, first))
         self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs  # of robots in the team, and alone
-        for i, (k, _) in self.kind_and_row.items():
-            kind = self.kinds[k]
+        for i, kind in enumerate(lattice.kind for lattice in joint.lattices):
             self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
         try:
             for i in self.kind_and_row:
@@ -69,25 +75,26 @@ class ReservationTable:
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
         """Return, for each edge (motion) of robots of kind ``a``, the edges of kind ``b`` that collide with it."""
-        colliding, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
+        ours, others = self.kinds[a], self.kinds[b]
         tree, order, first = self._near[b]
+        colliding = self._colliding_edges[a, b]  # answers are cached
         missing = np.array(sorted({*edges.tolist()} - colliding.keys()), dtype=np.intp)
         while len(missing):
             if self.budget.spent():
                 raise TimeoutError("Time or memory was spent before all collisions were found.")
             part, missing = np.split(missing, [self._chunk[a, b]])
+            # 1. Find edges that may collide. No motion takes a body farther than `reach` from the motion's begin.
             begin, end = ours.q[ours.begin[part]], ours.q[ours.end[part]]
             near = tree.query_ball_point(begin[:, :2], ours.reach + others.reach)
-            row = np.repeat(np.arange(len(part)), [len(nodes) for nodes in near])
-            index, at = take_ragged(first, np.concatenate(near).astype(int))
-            row, edge = row[at], order[index]
+            row_of_node = np.repeat(np.arange(len(part)), [len(nodes) for nodes in near])
+            index, place = take_ragged(first, np.concatenate(near).astype(int))
+            row, edge = row_of_node[place], order[index]  # part[row] may collide with `edge`
+            # Next time, take as many edges as give about `_PAIRS` pairs, judged by this part.
             self._chunk[a, b] = int(np.clip(_PAIRS * len(part) // max(1, len(row)), 1, _CHUNK))
+            # 2. Test these pairs, and cache the colliding edges of each edge.
             motions = others.q[others.begin[edge]], others.q[others.end[edge]]
-            apart = motions_apart(
-                *(ours.robot, begin[row], end[row], others.robot, *motions),
-                self.joint.problem.workspace.tolerance,
-                self.budget.deadline,
-            )
+            pairs = ours.robot, begin[row], end[row], others.robot, *motions
+            apart = motions_apart(*pairs, self.joint.problem.workspace.tolerance, self.budget.deadline)
             row, edge = row[~apart], edge[~apart].astype(np.int32)
             groups = [group.copy() for group in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
             colliding.update(zip(part.tolist(), groups, strict=True))
@@ -99,17 +106,20 @@ class ReservationTable:
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()
+        # 1. Leave out nodes through which every path costs more than `max_cost`, even without other robots.
         if i not in self._costs_to_come:
             self._costs_to_come[i] = kind.costs_to_come(row)
             self.memory_use.add(self._costs_to_come[i].nbytes)
         least = self._costs_to_come[i] + self.joint.costs_to_go[i]
-        least[[start, goal]] = 0.0
+        least[[start, goal]] = 0.0  # always keep both
         nodes = np.flatnonzero(least <= max_cost * (1 + _ROUNDING))
-        index = np.full(len(least), len(nodes))
+        index = np.full(len(least), len(nodes))  # of each node among `nodes`; `len(nodes)` for those left out
         index[nodes] = np.arange(len(nodes))
+        # 2. Dynamic programming: reached[step, n] is the least cost to be at nodes[n] after so many steps. The last
+        #    column stands for all nodes left out, at infinite cost. Columns of `into`: the edges into each node,
+        #    filled up by the dummy edge, whose cost is infinite.
         into = kind.edges_into_nodes(row)[:, nodes]
         begin, cost = index[kind.begin[into]], kind.edge_cost[into]
-        # Cost-to-come by step and node. The last column stands for all nodes that exceed the cost.
         reached = np.full((len(self.state), len(nodes) + 1), np.inf)
         reached[0, index[start]] = 0.0
         for step in range(len(blocked)):
@@ -117,20 +127,21 @@ class ReservationTable:
             arriving.min(axis=0, out=reached[step + 1, :-1])
             if self.budget.spent():
                 return False
-        at = index[goal]
-        if not reached[-1, at] <= max_cost * (1 + _ROUNDING):
+        n = index[goal]
+        if not reached[-1, n] <= max_cost * (1 + _ROUNDING):
             return False
-        self.cost[i], self.state[-1, i] = reached[-1, at], goal
+        # 3. Go back from the goal along the edges of least cost.
+        self.cost[i] = reached[-1, n]
+        self.state[-1, i] = goal
         for step in range(len(blocked) - 1, -1, -1):
-            arriving = np.where(blocked[step][into[:, at]], np.inf, reached[step][begin[:, at]] + cost[:, at])
-            at = begin[arriving.argmin(), at]
-            self.state[step, i] = nodes[at]
+            arriving = np.where(blocked[step][into[:, n]], np.inf, reached[step][begin[:, n]] + cost[:, n])
+            n = begin[arriving.argmin(), n]
+            self.state[step, i] = nodes[n]
         return True
 
 
 def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
-    num_edges = sum(kind.num_edges for kind in joint.kinds)
-    num_nodes = max(len(kind.q) for kind in joint.kinds)
+    num_edges, num_nodes = sum(kind.num_edges for kind in joint.kinds), max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
@@ -150,7 +161,10 @@ def replan_each(table: ReservationTable) -> None:
 
 
 def replan_together(table: ReservationTable, robots: list[int]) -> bool:
-    """Replan robots one after the other, unless that raises the cost; return whether the cost fell."""
+    """Replan robots one after the other, unless that raises the cost; return whether the cost fell.
+
+    If all robots find paths, these are kept even if the cost is equal.
+    """
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
         table.reserve(i, -1)
@@ -164,6 +178,9 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
             reserved.append(i)
         return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
     finally:
+        # Unless all robots found paths, restore the old ones. Also after a `TimeoutError` of `reserve`, since the
+        # caller uses `table.state`, which must be free of collisions. (Edges that collide with old paths are cached,
+        # so reserving these takes no tests.)
         if len(reserved) < len(robots):
             for i in reserved:
                 table.reserve(i, -1)
@@ -173,13 +190,16 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
-    """Replan ``count`` groups: a random robot with a detour, and the four robots that come nearest to it."""
+    """Replan ``count`` groups: a random robot with a detour, and the four robots that come nearest to it.
+
+    Distances to other robots are multiplied by random factors from 1 to 2, so that groups vary.
+    """
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)
         if table.budget.spent() or loss.sum() <= _ROUNDING * table.least_costs.sum():
             return
         i = int(rng.choice(len(loss), p=loss / loss.sum()))
-        places = [lattice.q[at, :2] for lattice, at in zip(table.joint.lattices, table.state.T, strict=True)]
+        places = [lattice.q[nodes, :2] for lattice, nodes in zip(table.joint.lattices, table.state.T, strict=True)]
+        # The least distances from robot i at equal steps.
         gap = np.array([np.hypot(*(place - places[i]).T).min() for place in places]) * rng.uniform(1, 2, len(loss))
-        neighborhood = np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]
-        replan_together(table, rng.permutation(neighborhood).tolist())
+        replan_together(table, rng.permutation(np.argsort(gap, kind="stable")[:_NEIGHBORHOOD]).tolist())

@@ -17,7 +17,9 @@ from plr_jax._problem import Problem
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
 from plr_jax.geometry.workspace import Workspace
 
-_MOST_WALLS, _MOST_ROBOTS = 48, 8  # beyond, lattice searches are as fast, and no order of robots is likely to exist
+# With more walls or robots, lattice searches are as fast, and no order of robots is likely to exist.
+_MOST_WALLS = 48
+_MOST_ROBOTS = 8
 _SHARP_TURN = 2.0  # turn of the normals (radians) at a convex corner above which a route has two positions there
 _LEAST_COSINE = 1e-3  # bounds the distance of positions from sharp concave corners
 _STILL = 1e-200  # replaces a velocity of 0 as a divisor
@@ -32,17 +34,29 @@ class CornerRoadmap:
     """A disc's roadmap: positions of its center beside corners of walls, and free straight motions between them."""
 
     def __init__(self, workspace: Workspace, radius: float):
+        # 1. The center must avoid a box around each wall, aligned with the wall, and a circle around each convex
+        #    corner.
+        #
+        #          .-------------------.
+        #        (   |               |   )     box: as long as the wall, `reach` to both sides of it
+        #       (    o=====wall======o    )    circles: radius `reach`, around ends o that are convex
+        #        (   |               |   )
+        #          '-------------------'
+        #
+        #    Rows of `_axes`, `_middle` and `_half`: normals of all walls, then their directions.
         boundary = workspace.boundary
         self._reach = radius - workspace.tolerance / 2  # so that rounding never turns contact into collision
         begin, end = boundary.segments.transpose(1, 0, 2)
         length, middle = np.hypot(*(end - begin).T), (begin + end) / 2
-        # The center must avoid a box around each wall, aligned with the wall, and a circle around each convex corner.
         self._axes = np.concatenate([boundary.normal, -turned_left(boundary.normal)])
         self._middle = (self._axes * np.tile(middle, (2, 1))).sum(axis=1)[:, None]
         self._half = np.append(np.full(len(length), self._reach), length / 2)[:, None]
+        # The angle at the begin of each wall from its normal to the normal of the wall before it: positive at convex
+        # corners of obstacles, negative at concave ones.
         turn = turn_between(boundary.normal, turned_left(begin - boundary.vertices[boundary.sector_end]))
-        turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)  # negative at concave corners
+        turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)
         self._tips = begin[turn > 0]
+        # 2. Find the free positions beside corners, and the shortest routes between them.
         q = _positions_at(begin, boundary.normal, turn, radius)
         self.q = q[workspace.clearance(q) >= self._reach]
         self.places: list[complex] = (self.q @ _COMPLEX).tolist()
@@ -55,23 +69,30 @@ class CornerRoadmap:
     def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions between free positions hit no wall; touching is allowed."""
         (x, y), (dx, dy) = begin.T, (end - begin).T
-        # A motion hits a circle if it passes its center and comes too near.
+        # 1. A motion hits a circle if it passes its center and comes too near: with t the vector from begin to
+        #    center, 0 < t . d < |d|^2 and |t x d| < reach |d|. (The ends of the motion are free.)
         tip_x, tip_y = self._tips[:, :1] - x, self._tips[:, 1:] - y
         along, squared = tip_x * dx + tip_y * dy, dx * dx + dy * dy
         hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
-        # A motion hits a box if it is between both pairs of sides at the same time (slab method).
-        rate, num = self._axes @ (end - begin).T, len(self._axes) // 2
+        # 2. A motion hits a box if it is between both pairs of sides at the same time (slab method). Along each axis,
+        #    it is at the box's middle at the time `middle`, and between the sides for the time `half` before and
+        #    after.
+        num_walls = len(self._axes) // 2
+        rate = self._axes @ (end - begin).T
         rate[np.abs(rate) < _STILL] = _STILL
-        middle, half = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
+        middle = (self._middle - self._axes @ begin.T) / rate
+        half = self._half / np.abs(rate)
         enter, leave = middle - half, middle + half
-        enter, leave = np.maximum(enter[:num], enter[num:]), np.minimum(leave[:num], leave[num:])
-        inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
-        return ~(inside.any(axis=0) | hits.any(axis=0))
+        enter, leave = np.maximum(*np.split(enter, [num_walls])), np.minimum(*np.split(leave, [num_walls]))
+        return ~((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
         """Return each robot's routes: costs of free straight motions between its start, its goal and corners."""
-        num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
-        begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
+        # Motions from starts to goals, then from each start to all corners, then from each goal to all corners.
+        num, size = len(starts), len(self.q)
+        ends = np.concatenate([starts, goals])
+        begin = np.concatenate([starts, ends.repeat(size, axis=0)])
+        end = np.concatenate([goals, *[self.q] * 2 * num])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
         out, home = cost[num:].reshape(2, num, size)
         to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
@@ -90,15 +111,21 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 
 
 def _positions_at(
-    at: Points, normal: Points, turn: Float[np.ndarray, " n"], radius: float
+    corner: Points, normal: Points, turn: Float[np.ndarray, " n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
     """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp."""
+    # Let r be the radius. The center passes along lines at the distance r from both walls. These lines meet in the
+    # direction halfway between the walls' normals, at r / cos(turn / 2) from the corner. At a sharp corner, this is
+    # far away. Two positions then cut off the tip: in the directions at turn / 4 from each normal, r / cos(turn / 4)
+    # from the corner. They also lie on these lines, and the segment between them has the distance r from the corner,
+    # too.
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for fraction, selected in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
-        angle, axis, half = (fraction * turn[selected])[:, None], normal[selected], (turn / 2 / count)[selected, None]
-        away = np.cos(angle) * axis + np.sin(angle) * turned_left(axis)
-        points.append(at[selected] + radius / np.maximum(np.cos(half), _LEAST_COSINE) * away)
+        angle = (fraction * turn[selected])[:, None]
+        half = (turn / 2 / count)[selected, None]
+        away = np.cos(angle) * normal[selected] + np.sin(angle) * turned_left(normal[selected])
+        points.append(corner[selected] + radius / np.maximum(np.cos(half), _LEAST_COSINE) * away)
     return np.concatenate(points)
 
 
@@ -129,22 +156,27 @@ def sequential_path(problem: Problem) -> Path | None:
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
+    # 1. Find the routes of all robots; robots of equal radius share a roadmap.
     routes_of_robot: dict[int, Routes] = {}
     for radius in {robot.rounding for robot in robots}:
         members = [i for i, robot in enumerate(robots) if robot.rounding == radius]
         all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[members], problem.goals[members])
         routes_of_robot.update(zip(members, all_routes, strict=True))
-    all_routes, reach = [routes_of_robot[i] for i in range(len(robots))], _touch_distances(problem)
+    all_routes = [routes_of_robot[i] for i in range(len(robots))]
+    reach = _touch_distances(problem)
     chosen = [route for routes in all_routes if (route := routes.shortest())]
     if len(chosen) < len(robots):
         return None
-    at = [routes.start for routes in all_routes]
-    waiting, aside, rows = list(range(len(robots))), set(), [at.copy()]  # aside: robots that have stepped aside
+    at = [routes.start for routes in all_routes]  # present positions
+    rows = [at.copy()]
+    waiting, aside = list(range(len(robots))), set()  # robots not at their goals, and those that have stepped aside
 
     def clears(i: int, route: Route, ignored: tuple[int, ...]) -> bool:
+        # Whether robot i hits no robot on a route.
         return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
+        # Whether robot i hits no robot on its route, and is in no waiting robot's way at its goal.
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
         return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
@@ -162,9 +194,7 @@ def sequential_path(problem: Problem) -> Path | None:
         routes = all_routes[i]
         # Costs of the shortest routes from start to goal through each corner.
         detours = (routes.out + routes.roadmap.cost).min(axis=1, initial=np.inf) + routes.to_go
-        for corner in np.argsort(detours, kind="stable").tolist():
-            if detours[corner] == np.inf:
-                break
+        for corner in np.argsort(detours, kind="stable")[: np.count_nonzero(detours < np.inf)].tolist():
             if _comes_within(chosen[j], routes.roadmap.places[corner], reach[i][j]):
                 continue
             first = int((routes.out + routes.roadmap.cost[corner]).argmin())
@@ -178,10 +208,9 @@ def sequential_path(problem: Problem) -> Path | None:
                 return True
         return False
 
-    # Move robots that are ready to their goals. If none is ready, let one make way for another.
+    # 2. Move robots that are ready to their goals. If none is ready, let one make way for another.
     while waiting:
-        ready = next((i for i in waiting if is_ready(i, i)), None)
-        if ready is not None:
+        if (ready := next((i for i in waiting if is_ready(i, i)), None)) is not None:
             go(ready, chosen[ready])
             waiting.remove(ready)
         elif not any(make_way(i, j) for i, j in permutations(waiting, 2)):
@@ -210,28 +239,30 @@ def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "ro
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)
     reach = np.array(_touch_distances(problem))[first_of, second_of]
-    times, routes = [np.zeros(1)] * num, [path[:1, i] for i in range(num)]
-    mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)
+    # The waypoints of each robot so far, and the time at which it is at each of them.
+    routes, times = [path[:1, i] for i in range(num)], [np.zeros(1)] * num
+    mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)  # the robot that moves after each row
     result, row = path[:1], 0
     for i, motions in groupby(mover.tolist()):
+        # 1. Add the route of one robot, until another one moves.
         route = path[row : row + len(list(motions)) + 1, i]
         row += len(route) - 1
+        routes[i] = np.concatenate([routes[i], route])
         since = np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
-        earlier, before = times[i], routes[i]
-        routes[i] = np.concatenate([before, route])
-        # Departure at the last time is always free: all others then stand as in the given path.
+        # 2. Try to depart as soon as the robot has arrived, or later. Departure when all others have arrived is
+        #    always free: they then stand as in the given path.
+        earlier = times[i]
         first, last = earlier[-1], max(arrival[-1] for arrival in times)
         num_early = int(min(_DEPARTURES, np.ceil((last - first) / reach.min(initial=np.inf))))
         for depart in [*np.linspace(first, last, num_early, endpoint=False).tolist(), last]:
             times[i] = np.append(earlier, depart + since)
-            # Rows for all robots, at each time when one of them turns, departs or arrives.
+            # 3. Rows for all robots, at each time when one of them turns, departs or arrives. Between these, robots
+            #    move straight at constant speed.
             when = np.unique(np.concatenate(times))
-            columns = [
-                np.interp(when, at, route[:, k]) for at, route in zip(times, routes, strict=True) for k in (0, 1)
-            ]
+            pairs = zip(times, routes, strict=True)
+            columns = [np.interp(when, at, waypoints[:, k]) for at, waypoints in pairs for k in (0, 1)]
             result = np.stack(columns, axis=1).reshape(len(when), num, 2)
             x, y = np.moveaxis(result[:, first_of] - result[:, second_of], 2, 0)
-            gaps = distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0))
-            if (gaps >= reach).all():
+            if (distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0)) >= reach).all():
                 break
     return result

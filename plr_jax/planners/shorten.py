@@ -25,26 +25,32 @@ Rows = Int[np.ndarray, "m"]
 Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
 Robots = tuple[int, ...]
+Group = tuple[Robots, slice]  # one or two robots, and rows of the path
+_ROUNDING = 1e-9
+# Shortcuts:
 _LONGEST = 32  # most steps that a shortcut spans
 _STRIDES = (16, 4, 1)  # motions tested in each batch: every 16th, every 4th, all
 _LEAST_SAVING = 1e-4  # least share of the cost that a shortcut must save
 _LEAST_ROUND_GAIN = 1e-3  # rounds stop if one saves a smaller share of the cost
+# Corridors:
 _STRAIGHT = 1e-9  # motions longer than a straight line by at most this share are not shortened
 _CORRIDOR_GAIN = 3e-3  # corridors are narrowed if a round saves a smaller share of the cost
-_NARROWINGS = 3
+_NARROWINGS = 3  # how often the width is halved, at most
 _REACH = 4  # two robots touch if their circumscribed discs are closer than this many corridor widths
 _MARGIN = 3  # rows added before and after the rows in which two robots touch
-_ROUNDING = 1e-9
-_PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)
+_PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)  # shifts, in widths
 
 
 def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
     """Replace motions by straight shortcuts until a round saves little, or the deadline of ``test`` passes."""
+    # A robot is tried again after it has gained, or after a robot that blocked one of its shortcuts has moved.
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     may_gain = np.ones(len(test.robots), dtype=bool)
     in_way = np.zeros((len(may_gain), len(may_gain)), dtype=bool)  # [i, j]: robot j blocked a shortcut of i
-    begin, place = ragged_indices(np.minimum(np.arange(len(path))[::-1], _LONGEST))
-    end, gains = begin + 1 + place, True  # begin and end: rows of all motions and possible shortcuts
+    # List all motions and possible shortcuts: from each row to each of the next `_LONGEST` rows.
+    begin, rank = ragged_indices(np.minimum(np.arange(len(path))[::-1], _LONGEST))
+    end = begin + 1 + rank
+    gains = True
     with suppress(TimeoutError):
         while gains:
             for i in range(len(may_gain)):
@@ -53,10 +59,10 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
                 rows, in_way[i] = _with_shortcuts(problem, trajectory, i, test, begin, end)
                 may_gain[i] = len(rows) < len(path)
                 if may_gain[i]:
-                    q, before = trajectory.path[:, i].copy(), trajectory.path[:, i]
+                    q = trajectory.path[:, i].copy()
                     for first, last in pairwise(rows):  # at constant speed, between rows that stay fixed
                         fraction = np.arange(1, last - first)[:, None] / (last - first)
-                        q[first + 1 : last] = between(before[first], before[last], fraction)
+                        q[first + 1 : last] = between(q[first], q[last], fraction)
                     trajectory.move(i, q)
                     may_gain |= in_way[:, i]
             before, cost = cost, path_cost(problem, trajectory.path)
@@ -70,35 +76,38 @@ def _with_shortcuts(
     # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that the best ones do not skip,
     # and the robots that block some.
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
-    q, is_motion = trajectory.path[:, i], end == begin + 1
+    q = trajectory.path[:, i]
+    is_motion = end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
     at_contact[[0, -1]] = False
     cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
     so_far = np.concatenate([[0.0], np.cumsum(cost[is_motion])])
     useful = is_motion | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
     useful &= is_motion | ~(at_contact[begin] | at_contact[end])
-    begin, end, cost, is_motion = begin[useful], end[useful], cost[useful], is_motion[useful]
-    shortcuts = np.flatnonzero(~is_motion)
+    begin, end, cost, is_edge = begin[useful], end[useful], cost[useful], is_motion[useful]
+    shortcuts = np.flatnonzero(~is_edge)
     shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
-    # 2. Exclude shortcuts that hit another robot. Each is cut at the rows of the path. A shortcut usually collides in
-    #    many motions or in none, so a few motions far apart are tested first.
-    apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
-    since, until = begin[shortcuts], end[shortcuts]
-    owner, step = ragged_indices(until - since)
-    first_row, later = since[owner] + step, np.ones(len(owner), dtype=bool)
+    # 2. Exclude shortcuts that hit another robot. Each is cut into one piece per motion that it replaces. A shortcut
+    #    usually collides in many pieces or in none, so a few pieces far apart are tested first.
+    is_apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
+    first_row, num_pieces = begin[shortcuts], end[shortcuts] - begin[shortcuts]
+    shortcut, rank = ragged_indices(num_pieces)  # of each piece
+    row = first_row[shortcut] + rank
+    is_untested = np.ones(len(row), dtype=bool)
     for stride in _STRIDES:
         require_time(test.deadline, "all shortcuts were tested")
-        now = np.flatnonzero(later & (first_row % stride == 0) & apart[owner])
-        later[now] = False
-        edge = owner[now]
-        q0, q1, count = q[since[edge]], q[until[edge]], (until - since)[edge, None]
-        first, last = (between(q0, q1, (step[now] + ahead)[:, None] / count) for ahead in (0, 1))
-        piece, j = trajectory.robots_near(i, circles(first[:, None], last[:, None]), first_row[now])
-        meet = test.meet(i, first[piece], last[piece], trajectory, first_row[now[piece]], j)
-        apart[edge[piece[meet]]], in_way[j[meet]] = False, True
+        now = np.flatnonzero(is_untested & (row % stride == 0) & is_apart[shortcut])
+        is_untested[now] = False
+        edge = shortcuts[shortcut[now]]
+        count = num_pieces[shortcut[now], None]
+        q0, q1 = (between(q[begin[edge]], q[end[edge]], (rank[now] + ahead)[:, None] / count) for ahead in (0, 1))
+        near, j = trajectory.robots_near(i, circles(q0[:, None], q1[:, None]), row[now])
+        meet = test.meet(i, q0[near], q1[near], trajectory, row[now[near]], j)
+        is_apart[shortcut[now[near[meet]]]] = False
+        in_way[j[meet]] = True
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
-    is_motion[shortcuts[apart]] = True
-    graph = csr_array((cost[is_motion], (begin[is_motion], end[is_motion])), shape=(len(q), len(q)))
+    is_edge[shortcuts[is_apart]] = True
+    graph = csr_array((cost[is_edge], (begin[is_edge], end[is_edge])), shape=(len(q), len(q)))
     previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
     rows = [len(q) - 1]
     while rows[-1] > 0:
@@ -109,7 +118,8 @@ def _with_shortcuts(
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
     """Shift configurations of one robot, or of two that touch, in steps of at most ``width``, to lower the cost."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
-    narrowest, diagonal = width / 2**_NARROWINGS, False
+    narrowest = width / 2**_NARROWINGS
+    diagonal = False  # rounds alternate between shifts along the axes and along the diagonals
     with suppress(TimeoutError):
         while width > narrowest:
             for robots, rows in _corridor_groups(problem, trajectory.path, width):
@@ -117,7 +127,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
                 least = straight_costs(q[0], q[-1], weights).sum()
                 if straight_costs(q[:-1], q[1:], weights).sum() <= (1 + _STRAIGHT) * least:
                     continue  # straight motions have nothing to gain
-                shortened = _shortened_in_corridors(problem, trajectory, rows, robots, test, width, diagonal)
+                shortened = _shortened_in_corridors(problem, trajectory, (robots, rows), test, width, diagonal)
                 for i, q_new in zip(robots, shortened, strict=True):
                     if (q_new != trajectory.path[rows, i]).any():
                         trajectory.move(i, q_new, rows)
@@ -128,64 +138,73 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     return trajectory.path
 
 
-def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
-    """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch."""
+def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
+    """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch.
+
+    The caller may change these rows of ``path`` in place; the pairs that follow are those of the changed path.
+    """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
-        touch, j = _touching(problem, path, i, width), -1
+        # Pairs (i, j), j < i: look for the next column j of `touch` with an entry.
+        touch = _touching(problem, path, i, width)
+        j = -1
         while touch[:, j + 1 :].any():
             j += 1 + int(touch[:, j + 1 :].any(axis=0).argmax())
-            rows, before = np.flatnonzero(touch[:, j]), path[:, i].copy()
+            rows = np.flatnonzero(touch[:, j])
+            before = path[:, i].copy()
             yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
             if (path[:, i] != before).any():  # changed by the caller
                 touch = _touching(problem, path, i, width)
 
 
 def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
+    # Others are the robots with a smaller index.
     size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
     offset = path[:, :i, :2] - path[:, i, None, :2]
     return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
 
 
 def _shortened_in_corridors(
-    problem: Problem,
-    trajectory: TeamTrajectory,
-    rows: slice,
-    robots: Robots,
-    test: JointMotionTest,
-    width: float,
-    diagonal: bool,
+    problem: Problem, trajectory: TeamTrajectory, group: Group, test: JointMotionTest, width: float, diagonal: bool
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return the cheapest collision-free configurations of one or two robots in some rows, out of their corridors.
+    """Return the cheapest collision-free configurations of a group, out of its robots' corridors.
 
-    The first and the last of the rows stay.
+    The first and the last row of the group stay.
     """
     require_time(test.deadline, "all corridors were searched")
-    path, first_row = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
+    robots, rows = group
+    path = trajectory.path[rows]
+    first_row = np.arange(rows.start, rows.stop - 1)
+    weights = problem.rotation_weights
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(corridor) for corridor in corridors]
-    robot_corridors, weights = zip(robots, corridors, strict=True), problem.rotation_weights
-    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in robot_corridors]
+    # 1. Compute the costs of each robot's motions alone: entry [k, a, b] from configuration a of row k to b of row
+    #    k + 1. Configuration 0 is the present one.
+    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in zip(robots, corridors, strict=True)]
     through = [_least_cost_through(cost) for cost in costs]
-    # A robot's path gains nothing if it exceeds the robot's least cost by what all robots together may save, or more.
+    # Let c_i be the cost of robot i's present path, and m_i its least cost. A path of robot i of cost t can only be
+    # part of a cheaper joint path if t + sum of m_k (k != i) < sum of c_k, that is, t < m_i + spare.
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
-    for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
-        # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
+    for i, corridor, region, cost, total in zip(robots, corridors, around, costs, through, strict=True):
+        # 2. Set the costs of motions that cannot gain, or hit something, to inf. Test only motions that may gain.
+        #    `region` has a circle for each row in which the reference point stays.
         present_cost = cost[:, 0, 0].copy()
         may_gain = total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
-        tight = ~test.wall_tests[i].has_room(*reached)[row]
         begin, end = corridor[row, first], corridor[row + 1, last]
         at_contact = test.wall_tests[i].is_at_contact(corridor)
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
-        tight &= free
-        free[tight] = test.wall_tests[i](begin[tight], end[tight], test.deadline)
-        near, j = trajectory.robots_near(i, reached, first_row, robots)
-        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(first_row) + 1)), near)
-        free[tested[test.meet(i, begin[tested], end[tested], trajectory, first_row[near[pair]], j[pair])]] = False
+        near_wall = free & ~test.wall_tests[i].has_room(*region)[row]
+        free[near_wall] = test.wall_tests[i](begin[near_wall], end[near_wall], test.deadline)
+        # Test all motions of a row against each robot that is near in this row (`near_row`).
+        near_row, j = trajectory.robots_near(i, region, first_row, robots)
+        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(first_row) + 1)), near_row)
+        free[tested[test.meet(i, begin[tested], end[tested], trajectory, first_row[near_row[pair]], j[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
+        # The present motions keep their costs: with them, a path always exists.
         cost[:, 0, 0] = present_cost
+    # 3. Find the cheapest path by dynamic programming. With two robots, a place is a pair of configurations.
     cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
     return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
@@ -198,6 +217,8 @@ def _joint_costs(
 
     They are ``inf`` for motions that cannot gain or in which the robots collide, except for the present motions.
     """
+    # Entry [k, a, b, c, d]: the robots move from configurations a and b of row k to c and d of row k + 1. Then pairs
+    # (a, b) and (c, d) are numbered in row-major order.
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
@@ -235,6 +256,8 @@ def _least_cost_through(cost: Costs) -> Costs:
     Entry ``[k, a, b]`` of ``cost`` is the cost from configuration ``a`` of row ``k`` to ``b`` of row ``k + 1``. Paths
     begin and end at configuration 0 of the first and the last row.
     """
+    # Dynamic programming in both directions at once. so_far[k, 0, a] is the least cost from the start to
+    # configuration a of row k. so_far[k, 1, a] is that from configuration a, k rows before the last one, to the end.
     both_ways = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -244,15 +267,16 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, " steps"]:
-    # Paths begin and end at configuration 0, as in ``_least_cost_through``.
-    size, rows = cost.shape[1], np.arange(cost.shape[1])
+    # Return the configuration in each row on the cheapest path. Paths begin and end at configuration 0, as in
+    # ``_least_cost_through``.
+    size = cost.shape[1]
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0
     previous = np.empty((len(cost), size), dtype=np.intp)
     for k, motion_costs in enumerate(cost):
         total = so_far[:, None] + motion_costs
         previous[k] = total.argmin(axis=0)
-        so_far = total[previous[k], rows]
+        so_far = total[previous[k], np.arange(size)]
     places = np.zeros(len(cost) + 1, dtype=np.intp)
     for k in range(len(cost) - 1, -1, -1):
         places[k] = previous[k, places[k + 1]]

@@ -28,7 +28,6 @@ Rows = Int[np.ndarray, "m"]
 Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
-Configuration = Float[np.ndarray, "dof"]
 JointPath = Float[np.ndarray, "rows robots dof"]
 
 
@@ -40,11 +39,12 @@ class Timetable:
     ):
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
+        # For each robot, the row in which it comes to rest, the one after the last row that differs from its end.
         moves = (path != path[-1]).any(axis=2)
-        # For each robot, the row in which it comes to rest.
         self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
         self.ignored: set[int] = set()  # robots without a planned motion, which block nobody
         self._last = len(path) - 1
+        # The last row occurs twice, so that a motion begins in each row up to the last.
         self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
@@ -55,8 +55,8 @@ class Timetable:
         """Replace robot ``i``'s motion by ``q``, of any number of rows; others must respect it from now on."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
-            self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
-            self._trajectory = TeamTrajectory(self.problem.robots, path)
+            self._last = len(q) - 1
+            self._trajectory = TeamTrajectory(self.problem.robots, np.concatenate([self._trajectory.path, more]))
         whole = self._trajectory.path[:, i].copy()  # keeps the heading of a robot without one
         whole[: len(q), : q.shape[1]], whole[len(q) :, : q.shape[1]] = q, q[-1]
         self._trajectory.move(i, whole)
@@ -67,13 +67,14 @@ class Timetable:
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, " m"]:
         """Return whether robot ``i`` meets nobody on straight motions of ``count`` time steps from ``row`` on."""
-        owner, step = ragged_indices(count)
-        num_steps = count[owner, None]
-        first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / num_steps) for ahead in (0, 1))
-        piece, _ = self._meetings(i, first, last, row[owner] + step)
-        fits = np.ones(len(begin), dtype=bool)
-        fits[owner[piece]] = False
-        return fits
+        # Cut motions into pieces of one time step each, and test these.
+        motion, step = ragged_indices(count)
+        num_steps = count[motion, None]
+        first, last = (between(begin[motion], end[motion], (step[:, None] + ahead) / num_steps) for ahead in (0, 1))
+        piece, _ = self._meetings(i, first, last, row[motion] + step)
+        is_free = np.ones(len(begin), dtype=bool)
+        is_free[motion[piece]] = False
+        return is_free
 
     def meetings(self, i: int, q: Motion) -> Meetings:
         """Return the time steps at which robot ``i`` meets others, on motion ``q`` or at rest after it, and whom."""
@@ -82,20 +83,22 @@ class Timetable:
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, " rows"]:
+    def next_free_rows(self, i: int, q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " rows"]:
         """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
-        # The row is inf if there is none. Nobody blocks the place for longer than the patience.
+        # The result is inf if there is no such row. Robots at rest block `q` for `patience` rows after the last row.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
-        is_taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
-        is_taken[self._meetings(i, at, at, row)[0]] = True
-        # For each row, the next one in which `q` is taken; then the first row with enough rows before that.
+        stay = np.repeat(q[None], len(row), axis=0)
+        is_taken = np.zeros(len(row), dtype=bool)
+        is_taken[self._meetings(i, stay, stay, row)[0]] = True
+        # For each row, the next one in which `q` is taken; then the next row with enough rows before that.
         until = np.minimum.accumulate(np.where(is_taken, row, np.inf)[::-1])[::-1]
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
         # The pieces of motions, one time step each, that meet a robot, and this robot. A robot at rest blocks others
         # for `patience` rows.
-        around, first_row = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
+        first_row = np.minimum(row, self._last)
+        around = circles(first[:, None], last[:, None])
         piece, j = self._trajectory.robots_near(i, around, first_row, list(self.ignored))
         is_present = row[piece] < self.ends[j] + self.patience
         piece, j = piece[is_present], j[is_present]
@@ -104,6 +107,7 @@ class Timetable:
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
+    """Divide motions into equal parts, each of which takes at most ``length`` at unit speed; all rows stay."""
     count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
@@ -123,70 +127,79 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     where the robot may rest. If there is no such place, the motion is None.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
-    length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])
-    # 1. Find the rows that each motion takes, and the rows from each node to the goal if the robot is alone.
+    length = step / ROWS_PER_STEP  # of a motion that takes one row
+    weight = float(problem.rotation_weights[i])
+    # 1. Build the robot's lattice. Find the rows that each motion takes (inf: blocked), and the rows `to_go` from
+    #    each node to the goal if the robot is alone.
     start, goal = timetable.path[:1, i, : robot.dof], problem.goals[[i], : robot.dof]
     motions = cell_grid(problem.workspace, robot, weight, step, deadline)
     lattice = Lattice(motions.with_terminals(robot, np.zeros(1, int), start, goal), 0)
-    child, duration, q = lattice.child, _num_rows(lattice.cost, length), lattice.q
-    leads = np.isfinite(duration)
-    first = np.append(0, np.cumsum(leads.sum(axis=1)))
-    graph = csr_array((duration[leads], child[leads], first), shape=(len(child), len(child)))
+    child, q = lattice.child, lattice.q
+    duration = _num_rows(lattice.cost, length)
+    is_free = np.isfinite(duration)
+    first = np.append(0, np.cumsum(is_free.sum(axis=1)))  # of each node's motions
+    graph = csr_array((duration[is_free], child[is_free], first), shape=(len(child), len(child)))
     to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
-    free = timetable.next_free_rows(i, q[lattice.goal])
+    free_from = timetable.next_free_rows(i, q[lattice.goal])  # by row: the next row from which the goal is free
 
     # The A* value of a state: the first row in which the robot, alone from now on, can come to the goal to stay.
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         arrival = row + to_go[node]
-        return np.maximum(arrival, free[np.minimum(arrival, len(free) - 1).astype(int)])
+        return np.maximum(arrival, free_from[np.minimum(arrival, len(free_from) - 1).astype(int)])
 
-    # 2. Search nodes and rows by A*.
+    # 2. Search by A*, a batch of states at a time. A state is a node and a row, and the index of its parent.
     nodes, rows, parents = [lattice.start], [0], [-1]
     open_states = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
-    visited, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
-    if lattice.start == lattice.goal and free[0] == 0:
+    visited = {(lattice.start, 0)}  # nodes, and rows divided by _WAIT
+    best, arrived = math.inf, -1  # row of the earliest arrival so far, and its state
+    num_expanded = 0
+    if lattice.start == lattice.goal and free_from[0] == 0:
         best, arrived = 0, 0
     while open_states and open_states[0][0] < best and num_expanded < max_states:
         require_time(deadline, "a robot was planned")
         batch = [heapq.heappop(open_states)[2] for _ in range(min(len(open_states), _BATCH))]
         num_expanded += len(batch)
-        begin, row = np.array([nodes[k] for k in batch]), np.array([rows[k] for k in batch])
-        target, until = child[begin], row[:, None] + duration[begin]
-        at_best = soonest(target, until)
-        place, primitive = np.nonzero(at_best < best)
-        end, when, at_best = (column[place, primitive] for column in (target, until, at_best))
-        when = when.astype(int)
-        keys = list(zip(end.tolist(), (when // _WAIT).tolist(), strict=True))
+        # Motions that may lead to an earlier arrival: `k` is the place of the parent in the batch.
+        begin, since = np.array([nodes[state] for state in batch]), np.array([rows[state] for state in batch])
+        end, until = child[begin], since[:, None] + duration[begin]
+        arrival = soonest(end, until)
+        k, primitive = np.nonzero(arrival < best)
+        end, until, arrival = (column[k, primitive] for column in (end, until, arrival))
+        until = until.astype(int)
+        # Those to states that are not visited yet, and on which the robot meets nobody.
+        keys = list(zip(end.tolist(), (until // _WAIT).tolist(), strict=True))
         new = np.array([n for n, key in enumerate(keys) if key not in visited], dtype=int)
-        first, since = begin[place[new]], row[place[new]]
-        for n in new[timetable.are_free(i, q[first], q[end[new]], since, when[new] - since)].tolist():
+        begin, since = begin[k[new]], since[k[new]]
+        for n in new[timetable.are_free(i, q[begin], q[end[new]], since, until[new] - since)].tolist():
             if keys[n] not in visited:
                 visited.add(keys[n])
-                if end[n] == lattice.goal and at_best[n] == when[n]:
-                    best, arrived = when[n], len(nodes)
-                heapq.heappush(open_states, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
-                for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, batch[place[n]])):
-                    column.append(int(entry))
+                if end[n] == lattice.goal and arrival[n] == until[n]:
+                    best, arrived = until[n], len(nodes)
+                heapq.heappush(open_states, (float(arrival[n]), float(to_go[end[n]]), len(nodes)))
+                nodes.append(int(end[n]))
+                rows.append(int(until[n]))
+                parents.append(batch[k[n]])
     # 3. Else find a state near the goal where the robot may rest, best away from walls, so that others can pass.
-    last, at, when = arrived, np.array(nodes), np.array(rows)
+    last = arrived
+    node, row = np.array(nodes), np.array(rows)
     if last < 0:
-        is_narrow = problem.workspace.clearance(q[at, :2]) < _ROOM * robot.circumscribed_radius
-        order = np.lexsort((to_go[at], is_narrow))
-        for begin in range(0, len(order), _BATCH):
-            batch = order[begin : begin + _BATCH]
-            count = np.full(len(batch), int(min(timetable.patience, len(timetable.path))))
-            may_rest = timetable.are_free(i, q[at[batch]], q[at[batch]], when[batch], count)
-            if may_rest.any():
-                last = int(batch[may_rest.argmax()])
+        is_narrow = problem.workspace.clearance(q[node, :2]) < _ROOM * robot.circumscribed_radius
+        order = np.lexsort((to_go[node], is_narrow))  # by `is_narrow`, then by `to_go`
+        for offset in range(0, len(order), _BATCH):
+            state = order[offset : offset + _BATCH]
+            count = np.full(len(state), int(min(timetable.patience, len(timetable.path))))
+            if (may_rest := timetable.are_free(i, q[node[state]], q[node[state]], row[state], count)).any():
+                last = int(state[may_rest.argmax()])
                 break
         else:
             return None, False
+    # 4. Follow the parents back to the start.
     chain = [last]
     while parents[chain[-1]] >= 0:
         chain.append(parents[chain[-1]])
     chain.reverse()
-    return _straightened(timetable, i, weight, length, q[at[chain]], when[chain]), arrived >= 0
+    return _straightened(timetable, i, weight, length, q[node[chain]], row[chain]), arrived >= 0
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
@@ -197,19 +210,24 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
     it moves by ``length``, with turns weighted by ``weight``.
     """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
-    parts, at, now = [q[:1]], 0, 0
+    parts = [q[:1]]
+    at, now = 0, 0  # waypoint and row that the motion has reached
     while at < len(q) - 1:
+        # 1. Find straight motions to later waypoints that arrive in time and hit no wall.
         ahead = np.arange(at + 1, min(at + _AHEAD, len(q) - 1) + 1)
         begin = np.repeat(q[[at]], len(ahead), axis=0)
         count = _num_rows(straight_costs(begin, q[ahead], weight), length).astype(int)
         early = np.flatnonzero(now + count <= row[ahead])
         early = early[walls(begin[early], q[ahead[early]], deadline)]
         ahead, count, begin = ahead[early], count[early], begin[early]
+        # 2. Keep those on which the robot meets nobody, nor while it waits there until the waypoint's row.
         since = np.full(len(ahead), now)
-        fits = timetable.are_free(i, begin, q[ahead], since, count)
-        fits &= timetable.are_free(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
-        if fits.any():
-            farthest = np.flatnonzero(fits)[-1]
+        is_possible = timetable.are_free(i, begin, q[ahead], since, count)
+        is_possible &= timetable.are_free(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
+        # 3. Go to the farthest of these waypoints, else wait. The wait ends at the latest in the waypoint's row, from
+        #    which the lattice motion to the next waypoint is possible.
+        if is_possible.any():
+            farthest = np.flatnonzero(is_possible)[-1]
             at, steps = int(ahead[farthest]), int(count[farthest])
             parts.append(between(parts[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
             if steps:
