@@ -334,5 +334,5 @@ def _add_image(ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colo
 
 
 def _outline(polygon: shapely.Polygon) -> Path:
-    rings = [polygon.exterior, *polygon.interiors]
+    rings = shapely.get_rings(polygon)
     return Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))

@@ -89,24 +89,22 @@ def is_scene(path: str | os.PathLike[str]) -> bool:
 
 
 def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
-    for shape, (kind, sizes, _) in _SHAPES.items():
-        if type(robot) is kind:
-            return {"shape": shape, **{size: np.asarray(getattr(robot, size)).tolist() for size in sizes}}
+    for shape, (robot_class, fields, _) in _SHAPES.items():
+        if type(robot) is robot_class:
+            return {"shape": shape, **{field: np.asarray(getattr(robot, field)).tolist() for field in fields}}
     raise ValueError(f"Robot {i} must have one of the shapes {', '.join(_SHAPES)} to be saved, got {robot!r}.")
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
     """Make robot ``i`` of a scene from its entry in a decoded JSON file."""
-    allowed = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
-    shape = entry.get("shape") if isinstance(entry, dict) else None
-    kind, sizes, _ = allowed.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
-    if kind is None or set(entry) != {"shape", *sizes}:
-        forms = " or ".join(
-            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in allowed.items()
-        )
-        raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {shortened(entry)}.")
+    fields_of = {shape: fields for shape, (_, fields, first_version) in _SHAPES.items() if first_version <= version}
+    shape = str(entry.get("shape")) if isinstance(entry, dict) else ""
+    if shape not in fields_of or set(entry) != {"shape", *fields_of[shape]}:
+        forms = [str({"shape": name} | {field: f"<{field}>" for field in fields_of[name]}) for name in fields_of]
+        got = f"in version {version}, got {shortened(entry)}"
+        raise ValueError(f"expected robot {i} to be like {' or '.join(forms)} {got}.")
     try:
-        return kind(*(entry[size] for size in sizes))
+        return _SHAPES[shape][0](*(entry[field] for field in fields_of[shape]))
     except ValueError as error:
         raise ValueError(f"robot {i}: {error}") from None
 
@@ -115,8 +113,7 @@ def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
     obstacles = []
     for polygon in shapely.get_parts(workspace.obstacles):
         if not polygon.is_empty:
-            rings = (polygon.exterior, *polygon.interiors)
-            outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in rings)
+            outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in shapely.get_rings(polygon))
             obstacles.append({"outer": outer, "holes": holes})
     bounds = [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()]
     return {"bounds": bounds, "squeeze": workspace.squeeze, "obstacles": obstacles}
