@@ -24,8 +24,7 @@ _TEAM_SCENES = ("single_door", *_DEFAULT_ROBOTS, "tangle", *SCENES)
 )
 def plan(
     scene: Annotated[
-        str,
-        typer.Argument(metavar="SCENE", help=f"A scene ({', '.join(_TEAM_SCENES)}), or a scene file (.json)."),
+        str, typer.Argument(metavar="SCENE", help=f"A scene ({', '.join(_TEAM_SCENES)}), or a scene file (.json).")
     ],
     robots: Annotated[
         int | None,
@@ -70,9 +69,8 @@ def plan(
             draw.animate(problem, solution.path).save(animation)
         if picture is not None:
             draw.save(draw.plot_path(problem, solution.path), picture)
-        for file in (output, animation, picture):
-            if file is not None:
-                typer.echo(f"  wrote      {file}")
+        for file in filter(None, (output, animation, picture)):
+            typer.echo(f"  wrote      {file}")
     if solution.status is Status.INTERRUPTED:
         fail_interrupted(f"Interrupted: {'the best path so far' if solution.solved else 'no path yet'}.")
     if not solution.solved:
@@ -80,6 +78,7 @@ def plan(
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":
+    """Return a scene of ``plr_jax.scenes`` by its name, or read a scene file; None is the scene's default number."""
     from plr_jax import scenes
 
     if num_robots is not None and name not in _DEFAULT_ROBOTS:
