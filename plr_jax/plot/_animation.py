@@ -41,17 +41,12 @@ _CONTROLS = 28  # pixels: height of the controls below the picture, as in page.c
 _PADDING = 6  # pixels around the page's content, as in page.css
 HOLD = 1.2  # seconds of pause at the end before the animation repeats
 _SMALLEST_NUMBERED = 10.0  # pixels across the smallest body whose number is drawn inside
-_CONTROLS_OF_TIME = f"""<div class="controls">
-  {PLAY}
-  <input id="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
-  <output id="clock"></output>
-</div>"""
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
     """Return a web page that plays a path, once in ``seconds``."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
-    body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
+    body = _svg(problem, motion) + "\n" + asset("player.html").replace("{{play}}", PLAY).rstrip()
     script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
     return html_document(f"Path of {len(problem.robots)} robots", asset("player.css"), body, script)
 

@@ -58,14 +58,7 @@ def packed_script(script: str) -> str:
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)  # without header, as "deflate-raw" expects
     data = b64encode(packer.compress(bare.encode()) + packer.flush()).decode()
-    return f"""\
-const packed = Uint8Array.from(atob("{data}"), letter => letter.charCodeAt(0));
-new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"))).text().then(text => {{
-    const script = document.createElement("script");
-    script.textContent = text;
-    document.body.append(script);
-}});
-"""
+    return asset("unpack.js").replace("{{data}}", data)
 
 
 def in_iframe(page: str, width: float | int, height: float | int) -> str:
