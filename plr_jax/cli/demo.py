@@ -2,6 +2,7 @@
 
 import statistics
 import time
+import timeit
 from collections.abc import Callable
 from pathlib import Path
 
@@ -81,13 +82,12 @@ def _maze(output: Path) -> None:
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
     """Return how many points a second ``function`` evaluates: the median of calls, after one that compiles."""
-    jax.block_until_ready(function(points))
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
+
+    def call() -> None:
         jax.block_until_ready(function(points))
-        seconds.append(time.perf_counter() - began)
-    return len(points) / statistics.median(seconds)
+
+    call()
+    return len(points) / statistics.median(timeit.repeat(call, number=1, repeat=repeats))
 
 
 def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, output: Path) -> None:

@@ -65,19 +65,17 @@ def read_volume(
     with errors_named(path):
         if ending not in (".npy", ".3dmap", *MESH_ENDINGS):
             raise ValueError(f"expected a file that ends in one of .npy, .3dmap, {', '.join(MESH_ENDINGS)}.")
-        if not is_mesh:
-            if pitch is not None or bounds is not None or not fill:
-                raise ValueError(
-                    f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out."
-                )
-            free = _read_array(path) if ending == ".npy" else _read_list(path)
-        else:
+        if is_mesh:
             if pitch is None:
                 raise ValueError("expected a pitch, the side of a voxel, for a mesh: give one.")
             box = None if bounds is None else Box.of(bounds, "bounds")
             if box is not None and box.dim != 3:
                 raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
             free = free_of_mesh(read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
+        elif pitch is not None or bounds is not None or not fill:
+            raise ValueError(f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out.")
+        else:
+            free = _read_array(path) if ending == ".npy" else _read_list(path)
     if not free.any():
         enclosed = "; fill=False leaves free what the surface encloses" if is_mesh and fill else ""
         raise ValueError(f"{path}: expected at least one free voxel, got none{enclosed}.")
