@@ -36,10 +36,11 @@ def file_path(path: object) -> Path:
 
 
 @contextmanager
-def errors_named(path: Path) -> Iterator[None]:
-    """Put the name of a file before the message of any ``ValueError`` that is raised inside."""
+def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield the path of a file, and put it before the message of any ``ValueError`` that is raised inside."""
+    path = Path(path)
     try:
-        yield
+        yield path
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

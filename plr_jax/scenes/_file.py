@@ -67,9 +67,8 @@ def load(path: str | os.PathLike[str]) -> Problem:
     sufficient version, and enough digits to read the same float64 numbers back. A file that is no scene, is damaged,
     has a newer version, or describes an impossible problem raises ``ValueError``.
     """
-    path = Path(path)
-    with errors_named(path):
-        scene = json_of(path)
+    with errors_named(path) as file:
+        scene = json_of(file)
         require_format(scene, _KIND, _VERSION, _KEYS)
         if not isinstance(scene["robots"], list):
             raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')

@@ -77,11 +77,10 @@ def read_image(
     Raises:
         ValueError: If the file is no such picture, damaged or too large, nothing is free, or an argument is invalid.
     """
-    path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
-    with errors_named(path):
+    with errors_named(path) as file:
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
-        return Workspace.from_mask(free_pixels(path, threshold), resolution, origin, row0="top", **options)
+        return Workspace.from_mask(free_pixels(file, threshold), resolution, origin, row0="top", **options)
 
 
 def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
@@ -232,10 +231,9 @@ def read_map_server(
 
     References: http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
     """
-    path = Path(path)
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
-    with errors_named(path):
-        map_server = _MapServer.read(path)
+    with errors_named(path) as file:
+        map_server = _MapServer.read(file)
         free = map_server.free(unknown_is_free)
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
         return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
@@ -271,15 +269,14 @@ def read_cost_map(
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
             blocked, or an option is not for this kind of file.
     """
-    path = Path(path)
-    with errors_named(path):
+    with errors_named(path) as file:
         from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
 
-        if path.suffix.lower() in (".tif", ".tiff"):
+        if file.suffix.lower() in (".tif", ".tiff"):
             if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
                 raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
-            return RasterCost(*_read_factors(path), interpolation)
-        map_server = _MapServer.read(path)
+            return RasterCost(*_read_factors(file), interpolation)
+        map_server = _MapServer.read(file)
         x, y, yaw = map_server.origin
         if yaw != 0:
             raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")

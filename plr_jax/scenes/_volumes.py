@@ -59,10 +59,10 @@ def read_volume(
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is
             invalid or not for this kind of file.
     """
-    path, fill = Path(path), as_bool("fill", fill)
-    ending = path.suffix.lower()
-    is_mesh = ending in MESH_ENDINGS
-    with errors_named(path):
+    fill = as_bool("fill", fill)
+    with errors_named(path) as file:
+        ending = file.suffix.lower()
+        is_mesh = ending in MESH_ENDINGS
         if ending not in (".npy", ".3dmap", *MESH_ENDINGS):
             raise ValueError(f"expected a file that ends in one of .npy, .3dmap, {', '.join(MESH_ENDINGS)}.")
         if is_mesh:
@@ -71,14 +71,14 @@ def read_volume(
             box = None if bounds is None else Box.of(bounds, "bounds")
             if box is not None and box.dim != 3:
                 raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
-            free = free_of_mesh(read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
+            free = free_of_mesh(read_mesh(file), as_finite("pitch", pitch, positive=True), box, fill)
         elif pitch is not None or bounds is not None or not fill:
             raise ValueError(f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out.")
         else:
-            free = _read_array(path) if ending == ".npy" else _read_list(path)
-    if not free.any():
-        enclosed = "; fill=False leaves free what the surface encloses" if is_mesh and fill else ""
-        raise ValueError(f"{path}: expected at least one free voxel, got none{enclosed}.")
+            free = _read_array(file) if ending == ".npy" else _read_list(file)
+        if not free.any():
+            enclosed = "; fill=False leaves free what the surface encloses" if is_mesh and fill else ""
+            raise ValueError(f"expected at least one free voxel, got none{enclosed}.")
     return free
 
 
