@@ -123,9 +123,8 @@ def _require_plain(events: Iterator[Any]) -> None:
         nested += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         _require_shallow(nested)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
-            raise ValueError(
-                f"neither aliases nor tags are read, got one in line {event.start_mark.line + 1}: write the value"
-            )
+            line = event.start_mark.line + 1
+            raise ValueError(f"neither aliases nor tags are read, got one in line {line}: write the value")
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and len(event.value) > _LONGEST_WORD:
             raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {len(event.value)}")
 

@@ -60,10 +60,8 @@ def _maze(output: Path) -> None:
     # 2. Compare it with the exact distance.
     points = workspace.sample_free(_PLR_POINTS, seed=1)
     report = metrics.error_map(plr, oracle, points[:_ORACLE_POINTS])
-    typer.echo(
-        f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {report.num_points:,} random free points "
-        f"(distances reach {report.max_distance:.2f})"
-    )
+    sample = f"{report.num_points:,} random free points (distances reach {report.max_distance:.2f})"
+    typer.echo(f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {sample}")
     device = jax.devices()[0]
     where = "this machine's CPU" if device.platform == "cpu" else device.device_kind
     typer.echo(f"  query   a batch of random free points, after compilation, on {where}")

@@ -135,9 +135,8 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     content_js = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
     readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
     script = "\n".join([*readers, asset("clock.js"), asset("field.js").replace("{{content}}", content_js)])
-    return Page(
-        html_document(name, asset("field.css"), asset("field.html").replace("{{play}}", PLAY), packed_script(script))
-    )
+    body = asset("field.html").replace("{{play}}", PLAY)
+    return Page(html_document(name, asset("field.css"), body, packed_script(script)))
 
 
 def _is_plain_cone(container: Container) -> bool:

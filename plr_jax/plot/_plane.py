@@ -71,9 +71,8 @@ def plot_surface(
     style_colorbar(bar, f"{label} ({unit})")
     # The more lines, the paler they are, so that they do not blacken the surface.
     lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
-    ax.add_collection3d(
-        Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
-    )
+    surface = Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
+    ax.add_collection3d(surface)
     xlim, ylim = np.stack([plr.domain.lo, plr.domain.hi], axis=1)
     ax.set(xlim=xlim, ylim=ylim, zlim=(0.0, max(piece[:, 2].max() for piece in pieces)))
     return ax

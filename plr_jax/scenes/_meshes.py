@@ -144,9 +144,8 @@ def _read_ply(data: bytes) -> list[Polygons]:
     at = 0
     for element, count, properties in elements:
         if not 0 <= count <= len(body) or not properties:
-            raise ValueError(
-                f"element {shortened(element)} cannot have {count:,} rows and {len(properties)} properties"
-            )
+            got = f"{count:,} rows and {len(properties)} properties"
+            raise ValueError(f"element {shortened(element)} cannot have {got}")
         types = [(name, type_of(kind)) for name, kind, _ in properties]
         # 2a. Rows of equal length, without lists, are one structured array.
         if not any(length_kind for _, _, length_kind in properties):

@@ -47,10 +47,9 @@ def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
         ):
             rows, columns = int(height), int(width)
         case _:
-            raise ValueError(
-                "expected a Moving AI map that begins with the lines 'type octile', 'height N', 'width N' and 'map', "
-                f"got {shortened(lines[:_HEADER_LINES])}."
-            )
+            header = "the lines 'type octile', 'height N', 'width N' and 'map'"
+            got = shortened(lines[:_HEADER_LINES])
+            raise ValueError(f"expected a Moving AI map that begins with {header}, got {got}.")
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
     if len(grid) < rows:
         raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
@@ -103,10 +102,8 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
             except ValueError:
                 numbers = []
             if len(fields) != _SCEN_COLUMNS or not numbers or not np.isfinite(numbers).all():
-                raise ValueError(
-                    f"line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
-                    f"and octile length, got {shortened(line)}."
-                )
+                columns = "bucket, map, width, height, start x, start y, goal x, goal y and octile length"
+                raise ValueError(f"line {number}: expected {columns}, got {shortened(line)}.")
             names.append(fields[1])
             rows.append(numbers)
         if not rows:

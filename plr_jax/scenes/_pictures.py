@@ -128,26 +128,21 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
             except Exception as error:
-                raise ValueError(
-                    f"expected a complete picture, got a damaged one ({error or type(error).__name__})."
-                ) from None
+                raise ValueError(f"expected a complete picture, got a damaged one ({error}).") from None
             yield picture
 
 
 def _require_limits(picture: "Image", num_bytes: int) -> None:
     """Raise a ``ValueError`` if a picture, whose file has ``num_bytes`` bytes, takes too much memory to decode."""
+    size = f"{picture.width:,} x {picture.height:,}"
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES_PER_PIXEL.get(picture.mode, 4) > _MOST_DECODED:
-        raise ValueError(
-            f"expected a picture of at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color, got "
-            f"{picture.width:,} x {picture.height:,}: make it smaller."
-        )
+        limits = f"at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color"
+        raise ValueError(f"expected a picture of {limits}, got {size}: make it smaller.")
     max_pixels = max(_SMALL, _PIXELS_PER_BYTE * num_bytes)
     if num_pixels > max_pixels:
-        raise ValueError(
-            f"expected at most {max_pixels:,} pixels in a file of {num_bytes:,} bytes, got {picture.width:,} x "
-            f"{picture.height:,}: it is damaged, or nearly all of one color; crop it."
-        )
+        limit = f"at most {max_pixels:,} pixels in a file of {num_bytes:,} bytes"
+        raise ValueError(f"expected {limit}, got {size}: it is damaged, or nearly all of one color; crop it.")
 
 
 def _require_plain(picture: Any, numbers: bool) -> None:
@@ -293,10 +288,8 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
     """Read a TIFF of cost factors: the factors, lowest row first, ``inf`` where blocked, and the raster's corners."""
     with open_picture(path, numbers=True) as picture:
         if picture.mode not in _NUMBER_MODES:
-            raise ValueError(
-                f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. For a map of map_server give "
-                "its .yaml file."
-            )
+            advice = "For a map of map_server give its .yaml file."
+            raise ValueError(f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. {advice}")
         tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
         factors = np.array(picture, np.float64)[::-1]
     # 1. Block cells without data. Floats were rounded to 32 bits when they were written.

@@ -39,9 +39,8 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
     reader = _reader_of(path) if isinstance(path, Path) else Workspace.from_polygons
     accepted = list(inspect.signature(reader).parameters)[1:]
     if unknown := ", ".join(name for name in options if name not in accepted):
-        raise ValueError(
-            f"{path}: expected options of this kind of file ({', '.join(accepted) or 'none'}), got {unknown}."
-        )
+        known = ", ".join(accepted) or "none"
+        raise ValueError(f"{path}: expected options of this kind of file ({known}), got {unknown}.")
     return reader(path, **options)
 
 
