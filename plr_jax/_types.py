@@ -72,7 +72,14 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 
 
 @runtime_checkable
-class FamilyFn(_PointFn, Protocol):
+class CellwiseFn(_PointFn, Protocol):
+    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
+
+    def cell_sources(self, domain: Any, /) -> CellSources: ...
+
+
+@runtime_checkable
+class FamilyFn(CellwiseFn, Protocol):
     """A distance function that shares work with its *family*, functions to other goals on the same map."""
 
     @property
@@ -83,14 +90,6 @@ class FamilyFn(_PointFn, Protocol):
     def first_turns(self, samples: Any, /) -> Any: ...
     def shared_cells(self, lo: Any, hi: Any, /) -> Any: ...
     def cells_of_members(self, shared: Any, members: Sequence[Any], box: Any, member: Any, /) -> CellSources: ...
-    def cell_sources(self, domain: Any, /) -> CellSources: ...
-
-
-@runtime_checkable
-class CellwiseFn(_PointFn, Protocol):
-    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
-
-    def cell_sources(self, domain: Any, /) -> CellSources: ...
 
 
 @runtime_checkable
