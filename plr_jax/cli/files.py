@@ -125,6 +125,7 @@ def plot(
     from plr_jax import plot as draw
     from plr_jax.plr import PLR
 
+    # 1. Read the distance, and check that it can be drawn.
     check_output(output, PICTURES, inputs=(file, map))
     content = load(file)
     plr = _distance_of(content, file, goal)
@@ -132,6 +133,7 @@ def plot(
         raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plr_jax.plot.slices.")
     if not isinstance(plr, PLR) and kind != "distance":
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
+    # 2. Read the map, and draw.
     workspace, goals = read_map_of_file(file, content, map, is_needed=kind == "error")
     goals = parse_goals(goal) if goal else goals
     match kind:
@@ -193,7 +195,7 @@ def export(
     if js and compact:
         raise ValueError("--compact is for C headers: leave it out.")
     content = load(file)
-    if hasattr(content, "window"):  # pairs of a grid
+    if hasattr(content, "window"):  # pairs of a grid: a header, and a file of tables beside it
         if js or goal or compact:
             reason = f"{file} holds pairs of cells of a grid, which become a C header for any goal"
             raise ValueError(f"{reason}: leave out --js, --goal and --compact.")
@@ -232,9 +234,9 @@ def view(
 
     output = output or Path(f"{file.stem}.html")
     check_output(output, (".html",), inputs=(file, map))
-    content, workspace = load(file), None
-    if map is not None or isinstance(content, PLR):
-        workspace, _ = read_map_of_file(file, content, map)
+    content = load(file)
+    needs_map = map is not None or isinstance(content, PLR)
+    workspace = read_map_of_file(file, content, map)[0] if needs_map else None
     written = page(content, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")

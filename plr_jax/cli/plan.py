@@ -55,11 +55,13 @@ def plan(
     from plr_jax import BLOptions, Status
     from plr_jax import plot as draw
 
+    # 1. Check all arguments before the work starts.
     check_output(output, (".json",), inputs=(scene,))
     check_output(animation, (".gif", ".html"))
     check_output(picture, PICTURES)
     options = BLOptions(cost_factor=cost_factor, time_limit=time_limit)
     problem = read_problem(scene, robots)
+    # 2. Plan, and write the best path, also if planning was interrupted.
     typer.echo(scene)
     solution = solve(problem, options)
     if solution.solved:
@@ -71,6 +73,7 @@ def plan(
             draw.save(draw.plot_path(problem, solution.path), picture)
         for file in filter(None, (output, animation, picture)):
             typer.echo(f"  wrote      {file}")
+    # 3. Tell by the exit code why there is no path, or not the best one.
     if solution.status is Status.INTERRUPTED:
         fail_interrupted(f"Interrupted: {'the best path so far' if solution.solved else 'no path yet'}.")
     if not solution.solved:

@@ -73,7 +73,8 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 def _svg(problem: Problem, motion: Timeline) -> str:
     """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for a script to move."""
-    bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
+    bounds = problem.workspace.bounds
+    scale = pixel_scale(bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
     border = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
@@ -225,7 +226,8 @@ class _Actor:
 
     def __init__(self, ax: Axes, problem: Problem, i: int):
         q = problem.starts[i]
-        self.robot, bounds = problem.robots[i], problem.workspace.bounds
+        bounds = problem.workspace.bounds
+        self.robot = problem.robots[i]
         self.outline = body_outline(self.robot, bounds)
         (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
         self.body, self.bar = add_body(ax, problem, i, q)

@@ -263,9 +263,9 @@ def plot_path(
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
         for k, q in enumerate(poses[:, i]):
-            if k == 0 or (q != poses[k - 1, i]).any():
-                corners, color = outline(problem.robots[i], q, problem.workspace.bounds), color_of(i)
-                style = {"facecolor": (color, 0.13), "edgecolor": (color, 0.55), "linewidth": 0.6}
+            if k == 0 or (q != poses[k - 1, i]).any():  # draw a robot that waits once
+                corners = outline(problem.robots[i], q, problem.workspace.bounds)
+                style = {"facecolor": (color_of(i), 0.13), "edgecolor": (color_of(i), 0.55), "linewidth": 0.6}
                 ax.add_patch(Polygon(corners, **style, zorder=_FADED))
         ax.plot(*shown[:, i, :2].T, color=color_of(i), linewidth=1.6, solid_joinstyle="round", zorder=_LINE)
         add_body(ax, problem, i, shown[-1, i])

@@ -61,6 +61,7 @@ def plot_surface(
     pieces = _pieces(plr, workspace)
     if not pieces:
         raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
+    # 1. A polygon has the color of its mean height.
     heights = np.array([piece[:, 2].mean() for piece in pieces])
     colors = ScalarMappable(Normalize(0.0, heights.max()), DISTANCE_COLORS)
     if ax is None:
@@ -69,7 +70,7 @@ def plot_surface(
     else:
         bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
     style_colorbar(bar, f"{label} ({unit})")
-    # The more lines, the paler they are, so that they do not blacken the surface.
+    # 2. The more lines, the paler they are, so that they do not blacken the surface.
     lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
     surface = Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
     ax.add_collection3d(surface)
@@ -267,13 +268,16 @@ def plot_error(
         raise ValueError("There is nothing to draw: no error is finite.")
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
     ax = prepare_axes(ax, shown)
+    # 1. Draw finite errors; errors below the logarithmic scale, such as 0, have its lowest color.
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
-    smallest = _ERROR_RANGE * (largest or 1.0)
+    smallest = _ERROR_RANGE * (largest or 1.0)  # 1.0: any scale will do if nearly all errors are 0
     shown_errors = np.ma.masked_invalid(np.maximum(errors, smallest))
     image = _add_image(ax, shown.box, shown_errors, _ERROR_COLORS, LogNorm(smallest, largest or 1.0))
+    # 2. Draw infinite errors in the lowest color of "autumn", which is red.
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
         _add_image(ax, shown.box, unanswered, "autumn", Normalize(1.0, 2.0))
+    # 3. Cover obstacles, and label.
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
     clipped = "both" if finite.max() > largest else "min"

@@ -41,6 +41,7 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
     """Return which cells of the lines of a ``.map`` file are passable, in the order of the file."""
+    # 1. Read the numbers of rows and columns in the header.
     match [line.split() for line in lines[:_HEADER_LINES]]:
         case [["type", _], ["height", height], ["width", width], ["map"]] if (
             height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
@@ -50,6 +51,7 @@ def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
             header = "the lines 'type octile', 'height N', 'width N' and 'map'"
             got = shortened(lines[:_HEADER_LINES])
             raise ValueError(f"expected a Moving AI map that begins with {header}, got {got}.")
+    # 2. Read the rows, one character per cell; more lines may follow.
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
     if len(grid) < rows:
         raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
@@ -91,7 +93,7 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
         lines = text_of(file).splitlines()
         if not lines or lines[0].split()[:1] != ["version"]:
             raise ValueError("expected a Moving AI scenario, whose first line is 'version 1', got another file.")
-        names, rows = [], []
+        names, rows = [], []  # a row is start x, start y, goal x, goal y and octile length
         for number, line in enumerate(lines[1:], start=2):
             if not line.strip():
                 continue

@@ -342,6 +342,7 @@ class _MapServer:
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
         """Read and check the ``.yaml`` file of a map, with ROS's defaults; the picture is read later."""
+        # 1. Find the picture.
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
@@ -350,9 +351,11 @@ class _MapServer:
             raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
         if not image.exists():
             raise FileNotFoundError(errno.ENOENT, f"No such picture, named as image in {path}", str(image))
-        mode, negate = entry.get("mode", "trinary"), entry.get("negate", 0)
+        # 2. Check what its pixels mean, and where it lies.
+        mode = entry.get("mode", "trinary")
         if mode not in _MODES:
             raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
+        negate = entry.get("negate", 0)
         if negate not in (0, 1):
             raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
         resolution = as_finite("resolution", _number("resolution", entry["resolution"]), positive=True)
@@ -392,6 +395,8 @@ class _MapServer:
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
         """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
+        # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
+        # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))
         between = np.full(occupancy.shape, _UNKNOWN, np.float64)  # also where occupancy is NaN: comparisons are False
