@@ -117,14 +117,12 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
         points = np.asarray(value)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
-    is_float = points.dtype in (np.float32, np.float64)
-    if not is_float and points.dtype.name.startswith(("bfloat", "float8")):  # NumPy does not count these as floats
-        points = points.astype(np.float32)
-    if points.dtype.kind not in "iubf":
+    # NumPy does not count narrow floats of JAX as numbers.
+    if points.dtype.kind not in "iubf" and not points.dtype.name.startswith(("bfloat", "float8")):
         raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")
     if dim is not None and (points.ndim == 0 or points.shape[-1] != dim):
         raise ValueError(f"Points must have shape (..., {dim}), got {points.shape}.")
-    return points if is_float else points.astype(np.float64)
+    return points if points.dtype in (np.float32, np.float64) else points.astype(np.float64)
 
 
 def filled_with_inf(value: ArrayLike) -> ArrayLike:

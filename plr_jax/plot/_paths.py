@@ -183,10 +183,8 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
         is_goal = k >= num_robots
         center = q[:2]
         size = number_size(ax, i)
-        is_inside = 2 * robot.inscribed_radius >= 0.75 * size
-        if is_goal and is_inside:
-            is_inside = not shapely.intersects(_square(center, size), solid).any()
-        if is_inside:
+        fits = 2 * robot.inscribed_radius >= 0.75 * size
+        if fits and not (is_goal and shapely.intersects(_square(center, size), solid).any()):
             # 2. Inside: at the center, but in a body off the center if a goal's outline runs through the center.
             around = [center, *(center + 0.45 * robot.inscribed_radius * _AROUND)]
             place = center if is_goal else _least_covered(around, dashed, size)

@@ -32,10 +32,9 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """
     weight = problem.rotation_weight
     entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]
-    versions = [_SHAPES[entry["shape"]][2] for entry in entries]
     scene = {
         "format": format_name(_KIND),
-        "version": max(*versions, 1 if weight is None else 2),
+        "version": max(1 if weight is None else 2, *(_SHAPES[entry["shape"]][2] for entry in entries)),
         "workspace": _workspace_entry(problem.workspace),
         "robots": entries,
         "starts": problem.starts.tolist(),
