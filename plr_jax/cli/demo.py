@@ -80,12 +80,9 @@ def _maze(output: Path) -> None:
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
     """Return how many points a second ``function`` evaluates: the median of calls, after one that compiles."""
-
-    def call() -> None:
-        jax.block_until_ready(function(points))
-
-    call()
-    return len(points) / statistics.median(timeit.repeat(call, number=1, repeat=repeats))
+    jax.block_until_ready(function(points))
+    seconds = timeit.repeat(lambda: jax.block_until_ready(function(points)), number=1, repeat=repeats)
+    return len(points) / statistics.median(seconds)
 
 
 def _draw(plr: PLR, oracle: DistanceFn, workspace: Workspace, goal: ArrayLike, output: Path) -> None:

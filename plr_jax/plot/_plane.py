@@ -181,8 +181,7 @@ def plot_contours(
     free_values = values[is_free]
     if not free_values.count():
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
-    largest = float(free_values.max())
-    image = draw_values(ax, shown, points, values, largest, 16, None if space is None else ~is_free)
+    image = draw_values(ax, shown, points, values, float(free_values.max()), 16, None if space is None else ~is_free)
     if workspace is not None:
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
@@ -311,8 +310,8 @@ def _split_by_reachability(
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
     """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
     parts = shapely.get_parts(workspace.free_space)
-    reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
-    return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
+    is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
+    return (list(parts[is_reached]), list(parts[~is_reached])) if is_reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:

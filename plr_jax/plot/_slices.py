@@ -83,10 +83,7 @@ def slices(
     require_drawable(cuts[0], None, space)
     points = [cut.grid(resolution) for cut in cuts]
     values = [np.ma.masked_invalid(np.asarray(plr(x), dtype=np.float64)) for x in points]
-    has_value = [
-        free_points(x, cut, None, space) & ~np.ma.getmaskarray(v)
-        for x, cut, v in zip(points, cuts, values, strict=True)
-    ]
+    has_value = [free_points(points[i], cuts[i], None, space) & ~np.ma.getmaskarray(values[i]) for i in range(count)]
     maxima = [float(v[mask].max()) for v, mask in zip(values, has_value, strict=True) if mask.any()]
     if not maxima:
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
