@@ -31,7 +31,7 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
         rows = [lines[number - 1].strip() for number in numbers]
         if rows and may_be_header:
             may_be_header = False
-            # A header looks like names, and is no point: nan,inf is one.
+            # A header looks like names, and cannot be read as numbers, as nan,inf can.
             if _HEADER.fullmatch(rows[0]) and _parse(rows[:1], np.empty((1, dim))):
                 del rows[0], numbers[0]
         # 2. Read the numbers.

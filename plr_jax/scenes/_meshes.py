@@ -72,9 +72,8 @@ def triangulated(polygons: Polygons) -> Triangles:
     is_crossed = ~shapely.is_valid(projected)
     projected[is_crossed] = shapely.make_valid(projected[is_crossed], method="structure", keep_collapsed=False)
     parts, polygon = shapely.get_parts(shapely.constrained_delaunay_triangles(projected), return_index=True)
-    corners = shapely.get_coordinates(parts, include_z=True).reshape(-1, 4, 3)[
-        :, :3
-    ]  # rings repeat their first corner
+    # Rings repeat their first corner.
+    corners = shapely.get_coordinates(parts, include_z=True).reshape(-1, 4, 3)[:, :3]
     # 4. Restore the order of coordinates. A polygon without triangles encloses nothing: its fan has no area.
     inverse = np.argsort(axes, axis=1)[polygon]
     is_flat = np.bincount(polygon, minlength=len(polygons)) == 0

@@ -18,8 +18,8 @@ from plr_jax.scenes._meshes import MESH_ENDINGS, Triangles, read_mesh
 _MOST_VOXELS = 2**28
 _MOST_RANK = 4
 _MOST_LIST_BYTES = 2**25
-_VOXELS_PER_BYTE = 2**8  # most voxels per byte of a list, for volumes of more than _SMALL_LIST voxels
-_SMALL_LIST = 2**24
+_SMALL_LIST = 2**24  # voxels of a volume that a list of any size may have
+_VOXELS_PER_BYTE = 2**8  # most voxels per byte of a list, for larger volumes
 # Limits of meshes.
 _MOST_MESH_VOXELS = 2**24
 _MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows and voxels that the triangles meet, each counted once per triangle
