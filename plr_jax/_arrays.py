@@ -19,10 +19,11 @@ from plr_jax._types import ArrayLike
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
 _LONGEST = 200  # characters of a value in an error
-_FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+_FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)  # of SplitMix64
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
+    """Check points, one a row, with ``dim`` coordinates each; None stands for any number of at least 1."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -33,6 +34,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
+    """Check one point with ``dim`` coordinates; None stands for any number of at least 1."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -71,7 +73,11 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 def as_cells(
     expected: str, value: ArrayLike, fits: Callable[[tuple[int, ...]], bool], hint: str = ""
 ) -> Bool[np.ndarray, "..."]:
-    """Copy booleans, one for each cell of a grid, in C order; an error says what is ``expected`` of the shape."""
+    """Copy booleans, one for each cell of a grid, in C order.
+
+    ``fits`` tests the shape of the grid. An error begins with ``expected``, and ends with ``hint`` if the array does
+    not fit.
+    """
     try:
         cells = np.array(value, order="C")
     except (TypeError, ValueError) as error:
@@ -83,6 +89,7 @@ def as_cells(
 
 
 def _if_traced(value: object) -> str:
+    """Return advice to add to an error if a value is a tracer of JAX, else an empty text."""
     if not is_traced(value):
         return ""
     return (
@@ -100,24 +107,26 @@ def is_single(value: ArrayLike) -> bool:
 
 
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
-    """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN."""
+    """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN.
+
+    Floats of 32 bits stay so; all other real numbers, also the narrow floats of JAX, become 64 bits wide.
+    """
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
         points = np.asarray(value)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
-    is_float = points.dtype in (np.float32, np.float64)
-    if not is_float and points.dtype.name.startswith(("bfloat", "float8")):  # NumPy does not count these as floats
-        points = points.astype(np.float32)
-    if points.dtype.kind not in "iubf":
+    # NumPy does not count narrow floats of JAX as numbers.
+    if points.dtype.kind not in "iubf" and not points.dtype.name.startswith(("bfloat", "float8")):
         raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")
     if dim is not None and (points.ndim == 0 or points.shape[-1] != dim):
         raise ValueError(f"Points must have shape (..., {dim}), got {points.shape}.")
-    return points if is_float else points.astype(np.float64)
+    return points if points.dtype in (np.float32, np.float64) else points.astype(np.float64)
 
 
 def filled_with_inf(value: ArrayLike) -> ArrayLike:
+    """Return a masked array with ``inf`` for masked entries; any other value as it is."""
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value
@@ -133,6 +142,7 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
+    """Check the answer of a test of ``n`` points: one boolean for each, none masked."""
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
@@ -157,6 +167,10 @@ def require_integer(name: str, value: object, least: int) -> None:
 
 
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
+    """Check a number, which must satisfy ``in_range``; ``expected`` describes it in errors.
+
+    What is no number, or an integer too large for a float, counts as NaN: ``in_range(nan)`` must be False.
+    """
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with suppress(OverflowError):
@@ -180,13 +194,16 @@ def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
 
 def size_in_eighths(n: int) -> int:
     """Return the size to which to pad ``n`` rows: one of few sizes, at most an eighth above ``n``."""
+    # The next power of two is below 2 * n, so a sixteenth of it is below n / 8.
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 
 
 def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
+    """Copy rows, and append rows of ``fill`` up to ``size`` rows."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
-    result[: len(rows)], result[len(rows) :] = rows, fill
+    result[: len(rows)] = rows
+    result[len(rows) :] = fill
     return result
 
 
@@ -198,6 +215,7 @@ def as_bool(name: str, value: object) -> bool:
 
 def ragged_indices(counts: Int[np.ndarray, " runs"]) -> tuple[Int[np.ndarray, " items"], Int[np.ndarray, " items"]]:
     """Return, for consecutive runs of ``counts`` items, the run of each item, and the item's index in this run."""
+    # Counts [2, 0, 3] give the runs [0, 0, 2, 2, 2] and the indices [0, 1, 0, 1, 2].
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -209,6 +227,7 @@ def concatenated(objects: Sequence[object], *names: str) -> list[Shaped[np.ndarr
 
 def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
+    # A slice ends before each item at which the sum of counts reaches or passes a multiple of `most`.
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
 
@@ -223,7 +242,7 @@ def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " 
 
 
 def take_ragged(
-    first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " some"]
+    first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " chosen"]
 ) -> tuple[Int[np.ndarray, " members"], Int[np.ndarray, " members"]]:
     """Return the indices of all items in the given ``runs``, and for each item the index in ``runs`` of its run."""
     # Run `i` has the items from `first[i]` up to `first[i + 1]`.
@@ -246,6 +265,7 @@ def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -
 
 def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "terms m"]) -> Float[np.ndarray, "n m"]:
     """Return ``a @ b`` with each entry summed from left to right, so that all CPUs round equally."""
+    # The sum of outer products of the columns of `a` and the rows of `b`.
     total = np.zeros((len(a), b.shape[1]))
     for column, row in zip(a.T, b, strict=True):
         total += column[:, None] * row
@@ -266,6 +286,7 @@ def format_numbers(numbers: Float[np.ndarray, " n"]) -> list[float]:
 
 
 def set_fields(value: object, **fields: object) -> None:
+    """Set attributes of an object of a frozen dataclass."""
     for name, content in fields.items():
         object.__setattr__(value, name, content)
 
@@ -294,5 +315,6 @@ def shortened(value: object) -> str:
 
 
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
+    """Raise a ``TimeoutError`` if less than ``seconds`` are left to a deadline of ``time.perf_counter``."""
     if time.perf_counter() + seconds > deadline:
         raise TimeoutError(f"The deadline passed before {purpose}.")

@@ -17,11 +17,9 @@ from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import is_traced, padded
 
-Columns = TypeVar("Columns")
-_PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
-
-
 Class = TypeVar("Class", bound=type)
+Columns = TypeVar("Columns")  # an array, or a tuple or another pytree of arrays
+_PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
@@ -74,13 +72,14 @@ def answered_in_parts(
     all parts of a batch have one of two ``sizes`` (numbers of rows); zeros pad the last part.
     """
     batch = np.broadcast_shapes(*(column.shape[:-1] for column in rows))
-    count, (few, many) = prod(batch), sizes
-    size = few if count <= _PARTS * few else many
+    count = prod(batch)
+    size = sizes[0] if count <= _PARTS * sizes[0] else sizes[1]
     whole = [np.broadcast_to(column, (*batch, column.shape[-1])) for column in rows]
-    results: list[np.ndarray] = []
+    results: list[np.ndarray] = []  # made by the first part
     computes_in_double = has_doubles()
 
-    def of_part(first: int) -> None:
+    def answer_part(first: int) -> None:
+        # 1. Take the rows from `first` to `last` of the flat batch. Only arrays that are broadcast need a copy.
         last = min(first + size, count)
         part = [
             column.reshape(-1, column.shape[-1])[first:last]
@@ -88,6 +87,7 @@ def answered_in_parts(
             else column[np.unravel_index(np.arange(first, last), batch)]
             for column in whole
         ]
+        # 2. Answer them, and store the answers; parts write to disjoint rows.
         with jax.enable_x64(computes_in_double):  # the setting may be local to the calling thread
             answers = answer(*(padded(column, size) for column in part))
         if not results:
@@ -95,14 +95,10 @@ def answered_in_parts(
         for result, column in zip(results, answers, strict=True):
             result[first:last] = np.asarray(column)[: last - first]
 
-    of_part(0)  # compiles the function, and shows the types of the answers
+    answer_part(0)  # compiles the function, and shows the types of the answers
     if count > size:
-        pool = ThreadPoolExecutor(num_cores())
-        try:
-            for _ in pool.map(of_part, range(size, count, size)):
-                pass
-        finally:
-            pool.shutdown(cancel_futures=True)
+        with ThreadPoolExecutor(num_cores()) as pool:
+            list(pool.map(answer_part, range(size, count, size)))  # an exception cancels the parts that wait
     return tuple(result.reshape(batch) for result in results)
 
 
@@ -119,6 +115,7 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Colum
 
 
 def broadcast_shape(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
+    """Return the shape to which two arrays broadcast; ``names`` calls them in the ``ValueError`` if they do not."""
     try:
         return jnp.broadcast_shapes(x.shape, y.shape)
     except ValueError:

@@ -36,14 +36,17 @@ def file_path(path: object) -> Path:
 
 
 @contextmanager
-def errors_named(path: Path) -> Iterator[None]:
+def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield the path of a file, and put it before the message of any ``ValueError`` that is raised inside."""
+    path = Path(path)
     try:
-        yield
+        yield path
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
 def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
+    """Read a text file in UTF-8, with or without a byte order mark."""
     with path.open("rb") as file:
         data = file.read(most_bytes + 1)
     if len(data) > most_bytes:
@@ -55,6 +58,7 @@ def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
 
 
 def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
+    """Read and decode a JSON file, within the limits of this module."""
     text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
@@ -65,11 +69,13 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
+    """Read and decode a YAML file, within the limits of this module."""
     import yaml
 
-    text, loader = text_of(path), _loader()
+    text = text_of(path)
+    loader = _loader()
     try:
-        _require_plain(yaml.parse(text, loader))
+        _require_plain(yaml.parse(text, loader))  # events: no value is made yet
         value = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"expected YAML ({error}).") from None
@@ -79,17 +85,15 @@ def yaml_of(path: Path) -> Any:
 
 @cache
 def _loader() -> Any:
+    """Return a safe loader of YAML that also reads numbers such as 1e-05."""
     import yaml
 
-    fastest: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-    class Loader(fastest):
-        pass
-
+    # A new class, because adding a resolver changes the class. CSafeLoader is faster, where it is installed.
+    loader: Any = type("Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
     # YAML 1.1 reads 1e-05 as a string, but C++ writes numbers like this.
     number = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$", re.ASCII)
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
-    return Loader
+    loader.add_implicit_resolver("tag:yaml.org,2002:float", number, list("-+.0123456789"))
+    return loader
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
@@ -119,16 +123,17 @@ def _require_plain(events: Iterator[Any]) -> None:
         nested += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         _require_shallow(nested)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
-            raise ValueError(
-                f"neither aliases nor tags are read, got one in line {event.start_mark.line + 1}: write the value"
-            )
+            line = event.start_mark.line + 1
+            raise ValueError(f"neither aliases nor tags are read, got one in line {line}: write the value")
         if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and len(event.value) > _LONGEST_WORD:
             raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {len(event.value)}")
 
 
 def _require_limits(value: Any) -> None:
+    """Reject decoded values with deep nesting, or with integers that are too large for floats."""
     # Level by level, so that deep nesting cannot overflow the stack.
-    level, nested = [value], 0
+    level = [value]
+    nested = 0
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):
             raise ValueError(f"expected numbers up to {float(_LARGEST_INTEGER):.2g}, got a larger integer.")
@@ -145,15 +150,17 @@ def _require_shallow(nested: int) -> None:
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a regular file so that it is complete or unchanged, even after a crash."""
-    try:
+    # 1. Write to a device or pipe directly: it must not be replaced.
+    mode = None
+    with suppress(FileNotFoundError):
         mode = os.stat(path).st_mode
-    except FileNotFoundError:
-        mode = None
     if mode is not None and not stat.S_ISREG(mode):
-        path.write_bytes(data)  # a device or pipe must not be replaced
+        path.write_bytes(data)
         return
-    target = path.resolve()  # replace the target of a symbolic link, not the link
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")  # short: the target's name may have maximum length
+    # 2. Write a temporary file beside the target, and rename it, which replaces the target in one step. The target of
+    #    a symbolic link is replaced, not the link. The temporary name is short: the target's may have maximum length.
+    target = path.resolve()
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
         with open(temporary, "xb") as file:
             if mode is not None:

@@ -21,22 +21,29 @@ and ignores obstacles. Users of a distance function must handle both.
 """
 
 
-@runtime_checkable
-class DimensionedFn(Protocol):
-    """A distance function of ``dim`` coordinates; of longer configurations, callers pass the first ``dim``."""
+class _PointFn(Protocol):
+    """A function of points, called with one array of them."""
 
-    @property
-    def dim(self) -> int: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable
-class FunctionOfBox(Protocol):
+class DimensionedFn(_PointFn, Protocol):
+    """A distance function of points with ``dim`` coordinates.
+
+    Callers with longer configurations pass the first ``dim`` coordinates.
+    """
+
+    @property
+    def dim(self) -> int: ...
+
+
+@runtime_checkable
+class FunctionOfBox(_PointFn, Protocol):
     """A function of the points in a :class:`Box`, its ``domain``."""
 
     @property
     def domain(self) -> Any: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable
@@ -65,7 +72,14 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 
 
 @runtime_checkable
-class FamilyFn(Protocol):
+class CellwiseFn(_PointFn, Protocol):
+    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
+
+    def cell_sources(self, domain: Any, /) -> CellSources: ...
+
+
+@runtime_checkable
+class FamilyFn(CellwiseFn, Protocol):
     """A distance function that shares work with its *family*, functions to other goals on the same map."""
 
     @property
@@ -76,16 +90,6 @@ class FamilyFn(Protocol):
     def first_turns(self, samples: Any, /) -> Any: ...
     def shared_cells(self, lo: Any, hi: Any, /) -> Any: ...
     def cells_of_members(self, shared: Any, members: Sequence[Any], box: Any, member: Any, /) -> CellSources: ...
-    def cell_sources(self, domain: Any, /) -> CellSources: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
-
-
-@runtime_checkable
-class CellwiseFn(Protocol):
-    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
-
-    def cell_sources(self, domain: Any, /) -> CellSources: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable
@@ -98,30 +102,26 @@ class NearestFn(CellwiseFn, Protocol):
 
 
 @runtime_checkable
-class ReachFn(Protocol):
+class ReachFn(_PointFn, Protocol):
     """A distance function that knows which boxes of a domain hold free points that cannot reach the goal."""
 
     def reach(self, domain: Any, /) -> Any: ...  # a geometry.reach.Reach, or None if all free points reach the goal
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable
-class StackableDistanceFn(Protocol):
+class StackableDistanceFn(_PointFn, Protocol):
     """A distance function, such as a PLR, whose class can combine one function per robot into one for a team."""
-
-    def __call__(self, x: Any, /) -> Any: ...
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]: ...
 
 
 @runtime_checkable
-class BoundingFn(Protocol):
+class BoundingFn(_PointFn, Protocol):
     """A distance function or heuristic that states whether it is a proven lower bound of the true value."""
 
     @property
     def is_lower_bound(self) -> bool: ...
-    def __call__(self, x: Any, /) -> ArrayLike: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +137,11 @@ class Symmetry:
 
 
 @runtime_checkable
-class SymmetricFn(Protocol):
+class SymmetricFn(_PointFn, Protocol):
     """A distance function with known symmetries: a point and its image under a symmetry have equal distances."""
 
     @property
     def symmetries(self) -> Sequence[Symmetry]: ...
-    def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable

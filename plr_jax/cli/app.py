@@ -20,7 +20,7 @@ class _Commands(TyperGroup):
         shown: set[str] = set()
 
         def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-            from plr_jax.plr import ConstructionInterrupted
+            from plr_jax.plr import ConstructionInterrupted  # slow to import
 
             if issubclass(category, ConstructionInterrupted):  # do not go on with an incomplete PLR
                 raise KeyboardInterrupt
@@ -54,11 +54,10 @@ app = typer.Typer(
 )
 
 
-def _print_version(is_asked: bool) -> bool:
+def _print_version(is_asked: bool) -> None:
     if is_asked:
         typer.echo(f"plr-jax {plr_jax.__version__}")
         raise typer.Exit
-    return is_asked
 
 
 @app.callback()
@@ -84,15 +83,18 @@ def reason_of(error: OSError | ValueError) -> str:
 
 
 def warn(message: str) -> None:
+    """Print a warning as one line on standard error."""
     typer.echo("Warning: " + _as_line(message), err=True)
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
+    """Print an error as one line on standard error, and end the command with an exit code."""
     typer.echo("Error: " + _as_line(message), err=True)
     raise typer.Exit(code)
 
 
 def fail_interrupted(message: str) -> NoReturn:
+    """Print a message on standard error, and end the command as Ctrl-C does."""
     typer.echo(message, err=True)
     raise typer.Exit(INTERRUPTED_EXIT)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
-_ERROR_POINTS = 20_000
+_ERROR_POINTS = 20_000  # random free points at which the error is measured
 
 
 def _kinds_of_leaves() -> list[str]:
@@ -26,6 +26,7 @@ def _kinds_of_leaves() -> list[str]:
 
 
 def _reading_option(help: str, default: str) -> Any:
+    """Return an option of the map's reader. Its help names the reader's own ``default``, since the option is None."""
     return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read")
 
 
@@ -160,11 +161,13 @@ def build(
 
 
 def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tolerance: float | None) -> None:
+    """Print the proven error, and the error at random points, of a PLR that has a proof."""
     report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
-    largest = plr.max_error
-    assert largest is not None
-    typer.echo(f"leaf    {plr.leaf.name}: no error above {largest:.3g}, proven")
-    limited = largest if plr.leaf.has_exact_cone_bounds else report.max  # such leaves grow by proven errors
+    proven = plr.max_error
+    assert proven is not None
+    typer.echo(f"leaf    {plr.leaf.name}: no error above {proven:.3g}, proven")
+    # The tolerance limits the proven error of planes and cones, and the sampled error of other leaves.
+    limited = proven if plr.leaf.has_exact_cone_bounds else report.max
     if tolerance is not None and limited > _ROUNDED * tolerance:
         typer.echo(f"        --tolerance {tolerance:g} was not reached")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")

@@ -2,6 +2,7 @@
 
 import statistics
 import time
+import timeit
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,13 +16,15 @@ from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.cli.inputs import DEFAULT_BYTES
 from plr_jax.cli.plan import solve
 
+# Points in a batch, and timed calls, of the PLR and of the oracle, which is slower.
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
-_CONE_BYTES = 1024
+_CONE_BYTES = 1024  # size limit of the file in the page
 _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames, since drawing them takes longer than planning
 
 
 def run(output: Path) -> None:
+    """Run the demo, and write its files to a folder."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     problem = scenes.four_rooms(4)
@@ -42,6 +45,8 @@ def run(output: Path) -> None:
 
 
 def _maze(output: Path) -> None:
+    """Compress the distance to a goal in a maze; report size, error and speed; draw it."""
+    # 1. Construct and save the PLR.
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     typer.echo(f"A maze of six walls, and the distance from any point to {tuple(goal.tolist())}, to be compressed.")
@@ -52,12 +57,11 @@ def _maze(output: Path) -> None:
     plr_jax.save(plr, output / "maze.plr")
     typer.echo(f"  built   {plr.num_leaves} planes in {seconds:.1f} s")
     typer.echo(f"  size    {plr.num_bytes:,} bytes in the file, {plr.resident_bytes:,} in memory")
+    # 2. Compare it with the exact distance.
     points = workspace.sample_free(_PLR_POINTS, seed=1)
     report = metrics.error_map(plr, oracle, points[:_ORACLE_POINTS])
-    typer.echo(
-        f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {report.num_points:,} random free points "
-        f"(distances reach {report.max_distance:.2f})"
-    )
+    sample = f"{report.num_points:,} random free points (distances reach {report.max_distance:.2f})"
+    typer.echo(f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {sample}")
     device = jax.devices()[0]
     where = "this machine's CPU" if device.platform == "cpu" else device.device_kind
     typer.echo(f"  query   a batch of random free points, after compilation, on {where}")
@@ -66,6 +70,7 @@ def _maze(output: Path) -> None:
     typer.echo(f"          PLR           {plr_rate / 1e6:8.1f} million points per second")
     typer.echo(f"          exact oracle  {oracle_rate / 1e6:8.1f} million points per second")
     typer.echo(f"          PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
+    # 3. Write pictures, and a page.
     _draw(plr, oracle, workspace, goal, output)
     cones = construct(oracle, workspace.bounds, leaf="cone", max_bytes=_CONE_BYTES, certified=True)
     plot.page(cones.with_label("maze"), workspace).save(page := output / "maze.html")
@@ -76,11 +81,7 @@ def _maze(output: Path) -> None:
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
     """Return how many points a second ``function`` evaluates: the median of calls, after one that compiles."""
     jax.block_until_ready(function(points))
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        jax.block_until_ready(function(points))
-        seconds.append(time.perf_counter() - began)
+    seconds = timeit.repeat(lambda: jax.block_until_ready(function(points)), number=1, repeat=repeats)
     return len(points) / statistics.median(seconds)
 
 

@@ -14,8 +14,7 @@ from plr_jax.cli.rows import read_points
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A file of a PLR or of pairs.")]
 GoalOption = Annotated[
-    list[str] | None,
-    typer.Option("--goal", "-g", metavar="X,Y", help="The goal, if FILE holds pairs."),
+    list[str] | None, typer.Option("--goal", "-g", metavar="X,Y", help="The goal, if FILE holds pairs.")
 ]
 
 
@@ -51,6 +50,7 @@ def query(
     from plr_jax.plr import load_numpy
     from plr_jax.plr.container import holds_pairs, read_bytes
 
+    # 1. Read the file, a PLR without importing JAX.
     with errors_named(file):
         is_pairs = holds_pairs(read_bytes(file))
     if is_pairs and which:
@@ -60,13 +60,14 @@ def query(
 
         pairs = load(file)
         reader: Any = pairs.numpy() if hasattr(pairs, "numpy") else pairs
-    else:  # without importing JAX
+    else:
         reader = load_numpy(file)
-    if not sys.stdin and points == "-":
+    # 2. Answer the points block by block.
+    reads_stdin = points == "-"
+    if not sys.stdin and reads_stdin:
         raise ValueError("Standard input is closed: name a file of points.")
-    name, dim = "stdin" if points == "-" else points, 4 if is_pairs else reader.dim
-    with sys.stdin.buffer if points == "-" else open(points, "rb") as table:
-        for x in read_points(table, name, dim):
+    with sys.stdin.buffer if reads_stdin else open(points, "rb") as table:
+        for x in read_points(table, "stdin" if reads_stdin else points, 4 if is_pairs else reader.dim):
             ends = np.split(x, 2, axis=1) if is_pairs else [x]
             columns = [reader(*ends)]
             columns += reader.bounds(*ends) if bounds else ()
@@ -97,16 +98,6 @@ def info(
     typer.echo(dumps(facts, indent=2) if json else "\n".join(lines))
 
 
-MapOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="MAP",
-        help="Map of walls (not of costs) that are drawn; it is read with the options that FILE was built with.",
-        show_default="the map FILE was built from",
-    ),
-]
-
-
 @command(
     "plr-jax plot maze.plr -o maze.png",
     "plr-jax plot maze.plr --kind error -o error.png",
@@ -115,7 +106,14 @@ MapOption = Annotated[
 def plot(
     file: FileArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .pdf or .svg.")],
-    map: MapOption = None,
+    map: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MAP",
+            help="Map of walls (not of costs) that are drawn; it is read with the options that FILE was built with.",
+            show_default="the map FILE was built from",
+        ),
+    ] = None,
     goal: GoalOption = None,
     kind: Annotated[
         Literal["distance", "cells", "error"],
@@ -127,6 +125,7 @@ def plot(
     from plr_jax import plot as draw
     from plr_jax.plr import PLR
 
+    # 1. Read the distance, and check that it can be drawn.
     check_output(output, PICTURES, inputs=(file, map))
     content = load(file)
     plr = _distance_of(content, file, goal)
@@ -134,6 +133,7 @@ def plot(
         raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plr_jax.plot.slices.")
     if not isinstance(plr, PLR) and kind != "distance":
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
+    # 2. Read the map, and draw.
     workspace, goals = read_map_of_file(file, content, map, is_needed=kind == "error")
     goals = parse_goals(goal) if goal else goals
     match kind:
@@ -150,7 +150,7 @@ def plot(
 
 
 def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
-    """Return a PLR, or the distance of pairs to the goal."""
+    """Return a PLR as it is, and pairs (distances between any two points) as the distance to the one ``goal``."""
     from plr_jax.plr import PLR
 
     if isinstance(content, PLR):
@@ -172,8 +172,7 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
 def export(
     file: FileArgument,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="The file to write. Its name begins all names in a header."),
+        Path, typer.Option("--output", "-o", help="The file to write. Its name begins all names in a header.")
     ],
     goal: GoalOption = None,
     js: Annotated[
@@ -196,16 +195,16 @@ def export(
     if js and compact:
         raise ValueError("--compact is for C headers: leave it out.")
     content = load(file)
-    if hasattr(content, "window"):  # pairs of a grid
+    if hasattr(content, "window"):  # pairs of a grid: a header, and a file of tables beside it
         if js or goal or compact:
-            kind = f"{file} holds pairs of cells of a grid, which become a C header for any goal"
-            raise ValueError(f"{kind}: leave out --js, --goal and --compact.")
+            reason = f"{file} holds pairs of cells of a grid, which become a C header for any goal"
+            raise ValueError(f"{reason}: leave out --js, --goal and --compact.")
         check_output(tables := output.with_suffix(".tables"), inputs=(file,))
         header = content.c_header(output.stem)
         write_atomically(tables, header.table)
         typer.echo(f"wrote {tables}: {len(header.table):,} bytes")
         text = header.text
-    elif js:
+    elif js:  # a module of pairs may keep both ends free
         text = (content if hasattr(content, "to") and not goal else _distance_of(content, file, goal)).js_module()
     else:
         text = _distance_of(content, file, goal).c_header(output.stem, compact=compact)
@@ -235,9 +234,9 @@ def view(
 
     output = output or Path(f"{file.stem}.html")
     check_output(output, (".html",), inputs=(file, map))
-    content, workspace = load(file), None
-    if map is not None or isinstance(content, PLR):
-        workspace, _ = read_map_of_file(file, content, map)
+    content = load(file)
+    needs_map = map is not None or isinstance(content, PLR)
+    workspace = read_map_of_file(file, content, map)[0] if needs_map else None
     written = page(content, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")

@@ -23,6 +23,7 @@ _OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "p
 
 
 def parse_goals(texts: Sequence[str]) -> Float[np.ndarray, "goals 2"]:
+    """Read goals, each a text such as ``3,28``."""
     try:
         goals = np.array([text.split(",") for text in texts], float)
     except ValueError:
@@ -33,6 +34,7 @@ def parse_goals(texts: Sequence[str]) -> Float[np.ndarray, "goals 2"]:
 
 
 def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "VisibilityGraph | NearestGoal":
+    """Return the exact distance to the goal, or to the nearest of several goals."""
     from plr_jax import NearestGoal, VisibilityGraph
 
     first: Any = VisibilityGraph(workspace, goals[0])
@@ -97,9 +99,10 @@ def read_map_of_file(
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
     """Return the workspace and the goals that the label of a file names; None for what is not known.
 
-    ``map`` replaces the name of the map, which is also looked for beside the file. If a map that is not needed cannot
-    be read, a warning is shown.
+    ``map`` replaces the name of the map. Without it, a map that does not exist is looked for beside the file. If a
+    map that is not needed cannot be read, a warning is shown.
     """
+    # 1. Find the map. The options of the label hold for another map too.
     named = NamedMap.of_label(getattr(content, "label", "")) or NamedMap(map or "", None, {})
     if not named.name:
         return None, None
@@ -108,6 +111,7 @@ def read_map_of_file(
         named = replace(named, name=map)
     elif named.name not in SCENES and not Path(named.name).exists() and beside.exists():
         named = replace(named, name=str(beside))
+    # 2. Read it.
     try:
         return named.read()
     except (OSError, ValueError) as error:

@@ -24,8 +24,7 @@ _TEAM_SCENES = ("single_door", *_DEFAULT_ROBOTS, "tangle", *SCENES)
 )
 def plan(
     scene: Annotated[
-        str,
-        typer.Argument(metavar="SCENE", help=f"A scene ({', '.join(_TEAM_SCENES)}), or a scene file (.json)."),
+        str, typer.Argument(metavar="SCENE", help=f"A scene ({', '.join(_TEAM_SCENES)}), or a scene file (.json).")
     ],
     robots: Annotated[
         int | None,
@@ -56,11 +55,13 @@ def plan(
     from plr_jax import BLOptions, Status
     from plr_jax import plot as draw
 
+    # 1. Check all arguments before the work starts.
     check_output(output, (".json",), inputs=(scene,))
     check_output(animation, (".gif", ".html"))
     check_output(picture, PICTURES)
     options = BLOptions(cost_factor=cost_factor, time_limit=time_limit)
     problem = read_problem(scene, robots)
+    # 2. Plan, and write the best path, also if planning was interrupted.
     typer.echo(scene)
     solution = solve(problem, options)
     if solution.solved:
@@ -70,9 +71,9 @@ def plan(
             draw.animate(problem, solution.path).save(animation)
         if picture is not None:
             draw.save(draw.plot_path(problem, solution.path), picture)
-        for file in (output, animation, picture):
-            if file is not None:
-                typer.echo(f"  wrote      {file}")
+        for file in filter(None, (output, animation, picture)):
+            typer.echo(f"  wrote      {file}")
+    # 3. Tell by the exit code why there is no path, or not the best one.
     if solution.status is Status.INTERRUPTED:
         fail_interrupted(f"Interrupted: {'the best path so far' if solution.solved else 'no path yet'}.")
     if not solution.solved:
@@ -80,6 +81,7 @@ def plan(
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":
+    """Return a scene of ``plr_jax.scenes`` by its name, or read a scene file; None is the scene's default number."""
     from plr_jax import scenes
 
     if num_robots is not None and name not in _DEFAULT_ROBOTS:

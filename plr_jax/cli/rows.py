@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from plr_jax.cli.app import warn
 
-_BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 1 << 20  # read at a time, which bounds the memory
 _MOST_SHOWN = 80  # characters of a bad row in a warning
 _HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field begins with a letter or _
 
@@ -21,17 +21,23 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
     ``file`` is a binary file. Blank lines are skipped. Rows that are not points become NaN; a warning for each block
     names the first of them. ``ValueError`` is raised if the table has no rows.
     """
-    expected, num_lines, is_first, is_empty = f"{dim} comma-separated numbers", 0, True, True
+    expected = f"{dim} comma-separated numbers"
+    may_be_header = is_empty = True
+    num_lines = 0  # in earlier blocks
     for block in _blocks(file):
+        # 1. Number the lines of the block from 1, and drop blank ones, and the header if this is the first row.
         lines = block.split("\n")
         numbers = [number for number, line in enumerate(lines, 1) if line.strip()]
         rows = [lines[number - 1].strip() for number in numbers]
-        if rows and is_first:
-            is_first = False
+        if rows and may_be_header:
+            may_be_header = False
+            # A header looks like names, and cannot be read as numbers, as nan,inf can.
             if _HEADER.fullmatch(rows[0]) and _parse(rows[:1], np.empty((1, dim))):
                 del rows[0], numbers[0]
+        # 2. Read the numbers.
         if rows:
-            is_empty, points = False, np.full((len(rows), dim), np.nan)
+            is_empty = False
+            points = np.full((len(rows), dim), np.nan)
             if bad := _parse(rows, points):
                 where = f"{name}, line {num_lines + numbers[bad[0]]}"
                 more = f", as for {len(bad) - 1:,} more rows" if len(bad) > 1 else ""
@@ -53,7 +59,10 @@ def _blocks(file: Any) -> Iterator[str]:
 
 
 def _parse(rows: list[str], points: Float[np.ndarray, "n dim"]) -> list[int]:
-    """Write the numbers of rows into ``points``; return the indices of bad rows, which halving the rows finds."""
+    """Write the numbers of rows into ``points``, in place, and return the indices of bad rows.
+
+    ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
+    """
     with suppress(ValueError):
         read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
         if read.shape == points.shape:

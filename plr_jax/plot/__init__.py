@@ -5,26 +5,6 @@ picture. :func:`slices` draws functions of three or more dimensions, :func:`anim
 :func:`page` makes an interactive web page. Figures are made without pyplot, so no global state changes.
 """
 
-from plr_jax.plot._animation import Animation, animate
-from plr_jax.plot._axes import save
-from plr_jax.plot._page import Page, page
-from plr_jax.plot._paths import plot_path, plot_problem, plot_samples
-from plr_jax.plot._plane import plot_cells, plot_contours, plot_error, plot_surface, plot_workspace
-from plr_jax.plot._slices import slices
+import lazy_loader
 
-__all__ = [
-    "Animation",
-    "Page",
-    "animate",
-    "page",
-    "plot_cells",
-    "plot_contours",
-    "plot_error",
-    "plot_path",
-    "plot_problem",
-    "plot_samples",
-    "plot_surface",
-    "plot_workspace",
-    "save",
-    "slices",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the list is in __init__.pyi

@@ -37,28 +37,27 @@ from plr_jax.plot._paths import (
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots.robot import placed
 
-_CONTROLS, _PADDING = 28, 6
+_CONTROLS = 28  # pixels: height of the controls below the picture, as in page.css
+_PADDING = 6  # pixels around the page's content, as in page.css
 HOLD = 1.2  # seconds of pause at the end before the animation repeats
 _SMALLEST_NUMBERED = 10.0  # pixels across the smallest body whose number is drawn inside
-_CONTROLS_OF_TIME = f"""<div class="controls">
-  {PLAY}
-  <input id="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
-  <output id="clock"></output>
-</div>"""
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
+    """Return a web page that plays a path, once in ``seconds``."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
-    body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
+    body = _svg(problem, motion) + "\n" + asset("player.html").replace("{{play}}", PLAY).rstrip()
     script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
     return html_document(f"Path of {len(problem.robots)} robots", asset("player.css"), body, script)
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
     """Return the data of a path for ``player.js``, with positions rounded by at most 1/20 of a pixel."""
+    # The longer side w has SIZE = 520 pixels. Rounding to d = 4 - floor(log10 w) decimals changes a position by at
+    # most 10**-d / 2 <= w * 1e-4 / 2, which is 0.026 pixels.
     bounds = problem.workspace.bounds
-    places = max(0, 4 - math.floor(math.log10(bounds.width.max())))
-    digits = [(places, places, 4)[: robot.dof] for robot in problem.robots]
+    decimals = max(0, 4 - math.floor(math.log10(bounds.width.max())))
+    digits = [(decimals, decimals, 4)[: robot.dof] for robot in problem.robots]
     return {
         "seconds": seconds,
         "hold": HOLD,
@@ -74,7 +73,8 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 def _svg(problem: Problem, motion: Timeline) -> str:
     """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for a script to move."""
-    bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
+    bounds = problem.workspace.bounds
+    scale = pixel_scale(bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
     border = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
@@ -90,8 +90,8 @@ def _svg(problem: Problem, motion: Timeline) -> str:
         points = pixels(bounds, outline(robot, goal, bounds))
         goals.append(f'<polygon class="halo" points="{points}"/><polygon class="goal" {line} points="{points}"/>')
         if robot.dof == 3:
-            ahead = pixels(bounds, placed(robot, front_sides(robot, bounds), goal))
-            goals[-1] += f'<polyline class="front" {line} points="{ahead}"/>'
+            front = pixels(bounds, placed(robot, front_sides(robot, bounds), goal))
+            goals[-1] += f'<polyline class="front" {line} points="{front}"/>'
         # 3. Draw the body around the origin, to be rotated, and its number, which stays upright.
         radius = scale * drawn_rounding(robot, bounds)
         if robot.core.any():
@@ -104,7 +104,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
             body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
         number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
         if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
-            beside = scale * robot.circumscribed_radius or radius
+            beside = scale * robot.circumscribed_radius or radius  # upper right of the body; a point robot is a disc
             place = f'x="{beside + 6:.2f}" y="{-beside:.2f}"'
             number = f'<text class="beside" {place} style="--color:{color}" fill="{color}">{i}</text>'
         bodies.append(f'<g id="place{i}"><g id="turn{i}">{body}</g>{number}</g>')
@@ -114,7 +114,8 @@ def _svg(problem: Problem, motion: Timeline) -> str:
     return f'<svg viewBox="{view_box}" role="img" aria-label="{label}">\n{shapes}\n</svg>'
 
 
-_MARGIN, _DPI = 0.08, 120  # inches, pixels per inch
+_MARGIN = 0.08  # inches around the picture of a GIF
+_DPI = 120  # pixels per inch
 _LARGEST_RATE = 50.0  # frames per second; common GIF viewers slow down faster ones
 _PACK = np.array([65536, 256, 1], dtype=np.uint32)  # packs the three bytes of a color into one number
 _TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
@@ -177,26 +178,27 @@ def _gif(animation: Animation) -> bytes:
     from PIL import Image
 
     frames = list(_frames(animation))
-    # Quantize to the 256 most frequent colors. The palettes of Pillow average colors: white turns gray and flat areas
-    # flicker.
-    packed, counts = np.unique(
-        np.stack(frames[:: max(1, len(frames) // 8)]).reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True
-    )
+    # 1. Count the colors in about eight frames, and sort them by frequency.
+    sample = np.stack(frames[:: max(1, len(frames) // 8)]).reshape(-1, 3)
+    packed, counts = np.unique(sample.astype(np.uint32) @ _PACK, return_counts=True)
     colors = packed[np.argsort(-counts, kind="stable"), None] // _PACK % 256
-    first = np.unique(colors >> 3, axis=0, return_index=True)[1]  # the most frequent one of similar colors
+    # 2. Make a palette of the 256 most frequent colors, only one of colors that agree in the upper 5 bits of red,
+    #    green and blue. The palettes of Pillow average colors: white turns gray and flat areas flicker.
+    most_frequent = np.unique(colors >> 3, axis=0, return_index=True)[1]
     palette = Image.new("P", (1, 1))
-    palette.putpalette(colors[np.sort(first)[:256]].astype(np.uint8).tobytes())
-    paged = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    palette.putpalette(colors[np.sort(most_frequent)[:256]].astype(np.uint8).tobytes())
+    images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    # 3. Write the frames; the last one stays longer.
     delay = 10 * round(100 / animation.frames_per_second)  # milliseconds, a multiple of the 10 that GIF supports
-    durations = [delay] * (len(paged) - 1) + [int(1000 * HOLD)]
+    durations = [delay] * (len(images) - 1) + [int(1000 * HOLD)]
     data = io.BytesIO()
-    paged[0].save(data, "GIF", save_all=True, append_images=paged[1:], duration=durations, loop=0, optimize=False)
+    images[0].save(data, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=False)
     return data.getvalue()
 
 
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     problem, motion = animation.problem, animation.motion
-    # Draw the static background: the workspace, whole tracks as thin lines, goals as outlines.
+    # 1. Draw the static background once: the workspace, whole tracks as thin lines, goals as outlines.
     ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
     plot_workspace(problem.workspace, ax)
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
@@ -208,6 +210,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     background = canvas.copy_from_bbox(figure.bbox)
+    # 2. For each frame, move the artists, and draw only them on a copy of the background.
     for time in np.linspace(0.0, motion.duration, animation.num_frames):
         so_far = motion.between(0.0, float(time))
         for i, actor in enumerate(actors):
@@ -223,7 +226,8 @@ class _Actor:
 
     def __init__(self, ax: Axes, problem: Problem, i: int):
         q = problem.starts[i]
-        self.robot, bounds = problem.robots[i], problem.workspace.bounds
+        bounds = problem.workspace.bounds
+        self.robot = problem.robots[i]
         self.outline = body_outline(self.robot, bounds)
         (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
         self.body, self.bar = add_body(ax, problem, i, q)
@@ -235,6 +239,7 @@ class _Actor:
             artist.set_animated(True)
 
     def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
+        """Move the artists to the end of the path so far; the trail is the whole path so far."""
         q = so_far[-1]
         self.trail.set_data(*so_far[:, :2].T)
         self.body.set_xy(placed(self.robot, self.outline, q))

@@ -20,12 +20,10 @@ from plr_jax.geometry.box import Box, Slice
 INK = "#262626"
 DISTANCE_COLORS = "viridis"
 DISTANCE, WORKSPACE_UNITS = "distance to the goal", "workspace units"
-FONT_SIZE = 9
+FONT_SIZE = 9  # points
 _PANEL = 4.2  # inches of the longer side of the plotted box
-DPI = 200
+DPI = 200  # pixels per inch
 SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
-_FULL_TURN = 2 * math.pi
-_POSITION, _HEADING = ("x", "y", "z"), "heading"
 
 
 @runtime_checkable
@@ -44,12 +42,10 @@ def save(ax: Axes, path: str | os.PathLike[str]) -> None:
 
 def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
     """Return axes, given or else new, with the limits, ticks, labels and colors for a plane slice of a box."""
-    box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
-    same_unit = kinds[0] == kinds[1]
+    box = shown.box
+    same_unit = is_angle(shown.domain, shown.axes[0]) == is_angle(shown.domain, shown.axes[1])
     ax = ax or new_axes(box if same_unit else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
-    ax.set_xlim(box.lo[0], box.hi[0])
-    ax.set_ylim(box.lo[1], box.hi[1])
-    ax.set_aspect("equal" if same_unit else "auto")
+    ax.set(xlim=(box.lo[0], box.hi[0]), ylim=(box.lo[1], box.hi[1]), aspect="equal" if same_unit else "auto")
     _label_axes(ax, shown.domain, shown.axes)
     _ink(ax)
     ax.spines[:].set(color=INK, linewidth=0.7, zorder=4)
@@ -64,19 +60,22 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
             axis.set_major_formatter(FuncFormatter(_in_multiples_of_pi))
 
 
-def is_angle(domain: Box, axis: int) -> bool:  # in radians
-    return domain.periodic[axis] and math.isclose(domain.width[axis], _FULL_TURN)
+def is_angle(domain: Box, axis: int) -> bool:
+    """Return whether an axis is an angle in radians: periodic, and a full turn wide."""
+    return domain.periodic[axis] and math.isclose(domain.width[axis], 2 * math.pi)
 
 
 def axis_label(domain: Box, axis: int) -> str:
-    angles = [is_angle(domain, other) for other in range(domain.dim)]
-    if angles[axis]:
-        return f"{_HEADING if angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
-    has_positions = not any(angles[:2]) and domain.dim in (2, 3)
-    return f"{_POSITION[axis]} ({WORKSPACE_UNITS})" if has_positions else f"coordinate {axis + 1}"
+    """Return the name of an axis with its unit, guessed from the dimension and from which axes are angles."""
+    are_angles = [is_angle(domain, other) for other in range(domain.dim)]
+    if are_angles[axis]:
+        return f"{'heading' if are_angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
+    has_positions = not any(are_angles[:2]) and domain.dim in (2, 3)
+    return f"{'xyz'[axis]} ({WORKSPACE_UNITS})" if has_positions else f"coordinate {axis + 1}"
 
 
 def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
+    """Write a multiple of a quarter turn, pi / 2, for the ticks of an axis."""
     halves = round(angle / (math.pi / 2))
     if halves % 2:
         return {1: r"$\pi/2$", -1: r"$-\pi/2$"}.get(halves, rf"${halves}\pi/2$")

@@ -27,7 +27,7 @@ from plr_jax.plr.leaves import Cone, leaf_of_code
 from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
 _FRAME = (560, 900)  # width and height, in pixels, of a page in a notebook
-_EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)
+_EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)  # names that a JavaScript module exports
 SIZE = 520.0  # pixels of the longer side of the bounds, before the browser scales the picture
 BORDER = 2.0  # pixels of margin around the bounds
 PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><path id="icon"/></svg></button>'
@@ -40,14 +40,14 @@ def asset(name: str) -> str:
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
     """Assemble a web page from its parts; ``style`` is further CSS, ``script`` is JavaScript."""
-    filled = {
+    placeholders = {
         "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
         "script": script,
         "title": html.escape(title),  # last, because it may contain a placeholder
     }
     page = asset("page.html")
-    for name, value in filled.items():
+    for name, value in placeholders.items():
         page = page.replace("{{" + name + "}}", value)
     return page
 
@@ -56,16 +56,9 @@ def packed_script(script: str) -> str:
     """Return a script that unpacks and runs a given script, which is stored deflated and in base 64."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
-    packer = zlib.compressobj(9, wbits=-15)
+    packer = zlib.compressobj(9, wbits=-15)  # without header, as "deflate-raw" expects
     data = b64encode(packer.compress(bare.encode()) + packer.flush()).decode()
-    return f"""\
-const packed = Uint8Array.from(atob("{data}"), letter => letter.charCodeAt(0));
-new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw"))).text().then(text => {{
-    const script = document.createElement("script");
-    script.textContent = text;
-    document.body.append(script);
-}});
-"""
+    return asset("unpack.js").replace("{{data}}", data)
 
 
 def in_iframe(page: str, width: float | int, height: float | int) -> str:
@@ -86,11 +79,8 @@ def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
     """Return the obstacles as the path data of SVG, in pixels, to be filled by the even-odd rule."""
-    rings = []
-    for polygon in blocked_polygons(workspace):
-        for ring in (polygon.exterior, *polygon.interiors):
-            rings.append(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z")
-    return "".join(rings)
+    rings = shapely.get_rings(blocked_polygons(workspace))
+    return "".join(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z" for ring in rings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +120,10 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
         raise ValueError(f"A page needs a PLR of 2 axes, got one of {source.domain.dim}: use plr_jax.plot.slices.")
     if not isinstance(workspace, Workspace | None):
         raise ValueError(f"workspace must be a Workspace whose walls are drawn, or None, got {shortened(workspace)}.")
-    data, name = source.to_bytes(), source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
+    # 1. Write what field.js shows as JavaScript: name and walls, and the function. Pairs and plain cones are files,
+    #    which the readers below decode. Other PLRs become code.
+    data = source.to_bytes()
+    name = source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
     if isinstance(source, PairPLR) or _is_plain_cone(Container.from_bytes(data)):
@@ -138,15 +131,16 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     else:
         box = {"lo": source.domain.lo.tolist(), "hi": source.domain.hi.tolist()}
         content |= {"box": json.dumps(box), "module": _module(data)}
+    # 2. Join it with the readers and the page's own code.
     content_js = "{" + ", ".join(f"{key}: {value}" for key, value in content.items()) + "}"
     readers = [js_file_reader(), js_cone_reader(), js_pairs_reader()]
     script = "\n".join([*readers, asset("clock.js"), asset("field.js").replace("{{content}}", content_js)])
-    return Page(
-        html_document(name, asset("field.css"), asset("field.html").replace("{{play}}", PLAY), packed_script(script))
-    )
+    body = asset("field.html").replace("{{play}}", PLAY)
+    return Page(html_document(name, asset("field.css"), body, packed_script(script)))
 
 
 def _is_plain_cone(container: Container) -> bool:
+    """Return whether a PLR has cone leaves, on a domain without periodic axes and folding."""
     is_plain = container.folding is None and not container.domain.is_periodic
     return is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
 
@@ -154,9 +148,11 @@ def _is_plain_cone(container: Container) -> bool:
 def _module(data: bytes) -> str:
     """Return a JavaScript object with a reader of the PLR file ``data``, its size, cell count and proven error."""
     plr = NumpyPLR(data)
-    text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
+    module = plr.js_module()
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")
+    # A page's script cannot export: make the module the body of a function that returns what the module exports, and
+    # the tree, from which the page draws the cells. The module of a PLR with one leaf has no tree.
     tree = "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"
-    exported = ", ".join([*_EXPORTED.findall(text), tree])
-    code = text.replace("export function", "function") + f"\nreturn {{ {exported} }};"
-    return f"{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: {json.dumps(leaves)}, error: {error} }}"
+    exported = ", ".join([*_EXPORTED.findall(module), tree])
+    code = module.replace("export function", "function") + f"\nreturn {{ {exported} }};"
+    return f'{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: "{plr.num_leaves:,} cells", error: {error} }}'

@@ -37,11 +37,13 @@ class Timeline:
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n robots dof"]:
+        """Return the configurations at given times, interpolated between the rows before and after each time."""
         row, after, fraction = rows_around(self.times, times)
         fraction = fraction[:, None, None]
         return (1 - fraction) * self.configurations[row] + fraction * self.configurations[after]
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
+        """Return the part of the path from one time to another, with both ends."""
         inner = self.configurations[(self.times > first) & (self.times < last)]
         ends = self.at(np.array([first, last]))
         return np.concatenate([ends[:1], inner, ends[1:]])
@@ -50,15 +52,17 @@ class Timeline:
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
     """Return a path with the times of its configurations, without steps in which no robot moves."""
     path = as_path(problem, path)
-    broken = np.argwhere(~np.isfinite(path))
-    if broken.size:
-        raise ValueError(f"A path must be finite, got {path[tuple(broken[0][:2])]} in step {broken[0][0]}.")
+    bad = np.argwhere(~np.isfinite(path))  # (step, robot, coordinate)
+    if bad.size:
+        raise ValueError(f"A path must be finite, got {path[tuple(bad[0][:2])]} in step {bad[0][0]}.")
+    # 1. Sum the moves, of which headings take the shorter turn. A robot without a heading does not turn.
     moves = np.diff(path, axis=0)
     if problem.dof == 3:
-        turns = np.array([robot.dof == 3 for robot in problem.robots])
-        moves[..., 2] = np.where(turns, shorter_turn(path[:-1, :, 2], path[1:, :, 2]), 0.0)
+        has_heading = np.array([robot.dof == 3 for robot in problem.robots])
+        moves[..., 2] = np.where(has_heading, shorter_turn(path[:-1, :, 2], path[1:, :, 2]), 0.0)
     continued = path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(moves, axis=0)])
     continued[..., :2] = path[..., :2]  # exact, without rounding errors of the sum
+    # 2. Drop the end of each step in which nothing moves.
     rows = np.append(True, moves.any(axis=(1, 2)))
     return Timeline(row_times(problem, path)[rows], continued[rows])
 
@@ -70,8 +74,9 @@ DASHES = (3.0, 1.6)  # dash and gap of a goal's outline, in line widths
 _DOT = 0.011  # radius of a point robot's dot, as a share of the longer side of the bounds
 _CORNERS = 72  # corners of the polygon that draws a disc
 _AHEAD = 0.7  # cosine of the largest angle between the heading and the normal of a front side
-_LIGHT = 0.55  # bodies of brighter colors get dark numbers
-_AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
+_LIGHT = 0.55  # bodies of colors with a larger luma (from 0 to 1) get dark numbers
+# Unit vectors around a robot, at which its number may be: first the diagonal ones, then those along the axes.
+_AROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])])
 BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
 
 
@@ -88,37 +93,48 @@ def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
     radius = drawn_rounding(robot, bounds)
     if radius == 0:
         return robot.core
+    # In each direction u, the farthest point of the body is the farthest core vertex, plus radius * u.
     angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
-    way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return robot.core[np.argmax(way @ robot.core.T, axis=1)] + radius * way
+    directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return robot.core[np.argmax(directions @ robot.core.T, axis=1)] + radius * directions
 
 
 def drawn_rounding(robot: Robot, bounds: Box) -> float:
+    """Return the radius by which a robot's core is rounded in pictures: for a point robot, that of a visible dot."""
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
 def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     """Return the ends of a bar across a robot's body near its front, in its own frame; it shows the heading."""
+    #   +---------|--+
+    #   |         |  |-->   The bar takes 56 % of the body's width at x, which is 20 % of the body's shorter side
+    #   +---------|--+      behind the front.
+    #             x
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
     inside = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))
     y0, y1 = inside[[0, -1], 1]
-    middle, half = (y0 + y1) / 2, 0.28 * abs(y1 - y0)
+    middle = (y0 + y1) / 2
+    half = 0.28 * abs(y1 - y0)
     return np.array([[x, middle - half], [x, middle + half]])
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
     """Return the part of a robot's outline that faces forward, as points in the robot's own frame."""
+    # 1. The outline is counterclockwise, so a side (dx, dy) has the outer normal (dy, -dx). The heading points along
+    #    x, so the cosine of the angle between the two is dy / |side|.
     corners = body_outline(robot, bounds)
     sides = np.roll(corners, -1, axis=0) - corners
-    facing = sides[:, 1] / np.hypot(*sides.T)
-    ahead = facing >= min(_AHEAD, facing.max() - 1e-9)
-    first = int(np.flatnonzero(ahead & ~np.roll(ahead, 1))[0])
-    return corners[(first + np.arange(ahead.sum() + 1)) % len(corners)]
+    cosine = sides[:, 1] / np.hypot(*sides.T)
+    # 2. Front sides follow one another, since the body is convex. Return their ends, from the first front side on.
+    is_front = cosine >= min(_AHEAD, cosine.max() - 1e-9)
+    first = int(np.flatnonzero(is_front & ~np.roll(is_front, 1))[0])
+    return corners[(first + np.arange(is_front.sum() + 1)) % len(corners)]
 
 
 def outline(robot: Robot, q: Float[np.ndarray, " dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
+    """Return the corners of a robot's body in configuration ``q``, counterclockwise."""
     return placed(robot, body_outline(robot, bounds), q)
 
 
@@ -141,14 +157,13 @@ def add_goal(ax: Axes, problem: Problem, i: int, zorder: float = BODY) -> None:
     ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
     ax.add_patch(Polygon(corners, fill=False, **style, linestyle=(0.0, DASHES), zorder=zorder + 0.2))
     if robot.dof == 3:  # the front is solid
-        ahead = placed(robot, front_sides(robot, bounds), q)
-        ax.add_patch(Polygon(ahead, closed=False, fill=False, **style, zorder=zorder + 0.2))
+        front = placed(robot, front_sides(robot, bounds), q)
+        ax.add_patch(Polygon(front, closed=False, fill=False, **style, zorder=zorder + 0.2))
 
 
 def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:
-    text = ax.text(at[0], at[1], str(i), color=color, fontsize=FONT_SIZE - 1, weight="bold", zorder=LABEL)
-    text.set(ha="center", va="center_baseline")
-    return text
+    style = {"fontsize": FONT_SIZE - 1, "weight": "bold", "ha": "center", "va": "center_baseline"}
+    return ax.text(at[0], at[1], str(i), color=color, zorder=LABEL, **style)
 
 
 def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"]) -> None:
@@ -156,43 +171,48 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
 
     ``ends`` are the configurations of all robots' bodies; the goals of all robots may follow, to be numbered too.
     """
-    bounds, num_robots = problem.workspace.bounds, len(problem.robots)
+    # 1. Outlines of bodies are filled (solid), those of goals are lines (dashed).
+    bounds = problem.workspace.bounds
+    num_robots = len(problem.robots)
     robots = (problem.robots * 2)[: len(ends)]
     shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
     solid, dashed = shapes[:num_robots], [shape.exterior for shape in shapes[num_robots:]]
-    taken = [*shapes, shapely.box(*bounds.lo, *bounds.hi).exterior]
+    occupied = [*shapes, shapely.box(*bounds.lo, *bounds.hi).exterior]
     for k, (robot, q, shape) in enumerate(zip(robots, ends, shapes, strict=True)):
         i = k % num_robots
+        is_goal = k >= num_robots
+        center = q[:2]
         size = number_size(ax, i)
-        if fits := 2 * robot.inscribed_radius >= 0.75 * size:
-            # Move off the center if a goal's outline runs through it.
-            inside = [q[:2], *(q[:2] + 0.45 * robot.inscribed_radius * np.array(_AROUND))]
-            spot = _least_covered(inside, dashed, size) if k < num_robots else q[:2]
-        if not fits or (k >= num_robots and shapely.intersects(_square(q[:2], size), solid).any()):
-            # Try eight positions close around the body.
-            corners = shapely.get_coordinates(shape) - q[:2]
-            spots = [q[:2] + ((corners @ way).max() + 0.62 * size) * way for way in np.array(_AROUND)]
-            spot = _least_covered(spots, taken, size)
-            taken.append(_square(spot, size))
-            text = add_number(ax, i, spot, color_of(i))
-            text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+        fits = 2 * robot.inscribed_radius >= 0.75 * size
+        if fits and not (is_goal and shapely.intersects(_square(center, size), solid).any()):
+            # 2. Inside: at the center, but in a body off the center if a goal's outline runs through the center.
+            around = [center, *(center + 0.45 * robot.inscribed_radius * _AROUND)]
+            place = center if is_goal else _least_covered(around, dashed, size)
+            add_number(ax, i, place, color_of(i) if is_goal else ink_on(color_of(i)))
         else:
-            add_number(ax, i, spot, ink_on(color_of(i)) if k < num_robots else color_of(i))
+            # 3. Beside: at one of eight places close around the outline, where the least is drawn.
+            corners = shapely.get_coordinates(shape) - center
+            around = [center + ((corners @ u).max() + 0.62 * size) * u for u in _AROUND]
+            place = _least_covered(around, occupied, size)
+            occupied.append(_square(place, size))
+            text = add_number(ax, i, place, color_of(i))
+            text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
 
 
 def number_size(ax: Axes, i: int) -> float:
     """Return the approximate width and height of a robot's number, in workspace units."""
     ax.apply_aspect()
-    points = FONT_SIZE * (1 if i < 10 else 1.5)
+    points = FONT_SIZE * (1 if i < 10 else 1.5)  # 72 points are one inch
     units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
     return float(units[1, 0] - units[0, 0])
 
 
 def _least_covered(
-    spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
+    places: Sequence[Float[np.ndarray, "2"]], drawn: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
-    covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
-    return spots[int(np.argmin(covered))]
+    """Return the place where a square of side ``size`` covers the least of what is drawn, by length of lines."""
+    covered = [shapely.length(shapely.intersection(_square(place, size), drawn)).sum() for place in places]
+    return places[int(np.argmin(covered))]
 
 
 def _square(center: Float[np.ndarray, "2"], size: float) -> shapely.Polygon:
@@ -200,7 +220,8 @@ def _square(center: Float[np.ndarray, "2"], size: float) -> shapely.Polygon:
     return shapely.box(x - size / 2, y - size / 2, x + size / 2, y + size / 2)
 
 
-# z-orders above obstacles, so that a path through an obstacle shows, and below solid bodies.
+# z-orders of samples, faded bodies and paths: above obstacles, so that a path through an obstacle shows, and below
+# solid bodies.
 _SAMPLES, _FADED, _LINE = 3.2, 3.4, 4.0
 
 
@@ -240,9 +261,9 @@ def plot_path(
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
         for k, q in enumerate(poses[:, i]):
-            if k == 0 or (q != poses[k - 1, i]).any():
-                corners, color = outline(problem.robots[i], q, problem.workspace.bounds), color_of(i)
-                style = {"facecolor": (color, 0.13), "edgecolor": (color, 0.55), "linewidth": 0.6}
+            if k == 0 or (q != poses[k - 1, i]).any():  # draw a robot that waits once
+                corners = outline(problem.robots[i], q, problem.workspace.bounds)
+                style = {"facecolor": (color_of(i), 0.13), "edgecolor": (color_of(i), 0.55), "linewidth": 0.6}
                 ax.add_patch(Polygon(corners, **style, zorder=_FADED))
         ax.plot(*shown[:, i, :2].T, color=color_of(i), linewidth=1.6, solid_joinstyle="round", zorder=_LINE)
         add_body(ax, problem, i, shown[-1, i])

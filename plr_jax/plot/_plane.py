@@ -37,6 +37,10 @@ from plr_jax.plot._axes import (
 from plr_jax.spaces import FreeTest
 
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
+_CELL_COLOR = "#6e6e6e"
+OBSTACLE = "#ececec"
+_ERROR_COLORS = "inferno"
+_ERROR_RANGE = 1e-3  # smallest error of the color scale, as a share of the largest
 
 
 def plot_surface(
@@ -57,6 +61,7 @@ def plot_surface(
     pieces = _pieces(plr, workspace)
     if not pieces:
         raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
+    # 1. A polygon has the color of its mean height.
     heights = np.array([piece[:, 2].mean() for piece in pieces])
     colors = ScalarMappable(Normalize(0.0, heights.max()), DISTANCE_COLORS)
     if ax is None:
@@ -65,27 +70,28 @@ def plot_surface(
     else:
         bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
     style_colorbar(bar, f"{label} ({unit})")
-    # The more lines, the paler they are, so that they do not blacken the surface.
+    # 2. The more lines, the paler they are, so that they do not blacken the surface.
     lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
-    ax.add_collection3d(
-        Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
-    )
-    ax.set_xlim(plr.domain.lo[0], plr.domain.hi[0])
-    ax.set_ylim(plr.domain.lo[1], plr.domain.hi[1])
-    ax.set_zlim(0.0, max(piece[:, 2].max() for piece in pieces))
+    surface = Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
+    ax.add_collection3d(surface)
+    xlim, ylim = np.stack([plr.domain.lo, plr.domain.hi], axis=1)
+    ax.set(xlim=xlim, ylim=ylim, zlim=(0.0, max(piece[:, 2].max() for piece in pieces)))
     return ax
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
     """Return polygons of a surface in space: each cell, or its free parts, at the heights of the leaf's values."""
+    # 1. List the polygons of each cell. A box of the partition gives one cell, so `leaf_of_box` is the cell's leaf.
     cells = _cells_of(plr, Slice.of(plr.domain, None))
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
-    pieces = [corners for of_leaf in parts for corners in of_leaf]
+    pieces = [corners for parts_of_cell in parts for corners in parts_of_cell]
     if not pieces:
         return []
+    # 2. Evaluate the leaf of each corner, in one call for all corners.
     points = np.concatenate(pieces)
-    leaf = np.repeat(plr.leaf_of_box, [sum(map(len, of_leaf)) for of_leaf in parts])
+    leaf = np.repeat(plr.leaf_of_box, [sum(map(len, parts_of_cell)) for parts_of_cell in parts])
     heights = np.split(plr.values_in_leaves(leaf, points), np.cumsum([len(corners) for corners in pieces])[:-1])
+    # 3. Join corners and heights to points in space.
     placed = [np.column_stack(piece) for piece in zip(pieces, heights, strict=True)]
     return [piece for piece in placed if np.isfinite(piece).all()]
 
@@ -96,14 +102,9 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     for part in parts:
         if part.geom_type == "Polygon" and not part.is_empty:
             # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
-            whole = shapely.get_num_interior_rings(part) == 0
-            solid += [shapely.get_coordinates(part)[:-1]] if whole else list(triangulate(part))
+            has_holes = shapely.get_num_interior_rings(part) > 0
+            solid += list(triangulate(part)) if has_holes else [shapely.get_coordinates(part)[:-1]]
     return solid
-
-
-_CELL_COLOR = "#6e6e6e"
-OBSTACLE = "#ececec"
-_ERROR_COLORS, _ERROR_RANGE = "inferno", 1e-3  # smallest error of the color scale, as a share of the largest
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = WORKSPACE_UNITS) -> Axes:
@@ -162,22 +163,25 @@ def plot_contours(
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, space)
     ax = prepare_axes(ax, shown)
+    # 1. Evaluate a grid of points.
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
-    # Values inside obstacles are drawn and covered, so that colors reach the walls, but do not affect the scale.
-    free, cut_off = free_points(points, shown, workspace, space), []
+    is_free = free_points(points, shown, workspace, space)
+    # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
+    cut_off = []
     if goal is not None:
         goals = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
         goal = plr.domain.wrapped(np.reshape(goals, (-1, plr.domain.dim)))[:, list(shown.axes)]
-    if goal is not None and workspace is not None:
-        reached, cut_off = _split_by_reachability(workspace, goal)
-        if cut_off:
-            free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
-    of_free = values[free]
-    if not of_free.count():
+        if workspace is not None:
+            reached, cut_off = _split_by_reachability(workspace, goal)
+            if cut_off:
+                is_free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
+    # 3. Draw. Values inside obstacles are drawn and then covered, so that colors reach the walls; they do not affect
+    #    the color scale.
+    free_values = values[is_free]
+    if not free_values.count():
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
-    largest = float(of_free.max())
-    image = draw_values(ax, shown, points, values, largest, 16, None if space is None else ~free)
+    image = draw_values(ax, shown, points, values, float(free_values.max()), 16, None if space is None else ~is_free)
     if workspace is not None:
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
@@ -200,7 +204,7 @@ def draw_values(
     """Draw values on a slice: colors from 0 to ``largest``, up to ``num_levels`` contours, gray where ``closed``."""
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
-    has_lines = min(values.shape) > 1
+    has_lines = min(values.shape) > 1  # Matplotlib draws contours only of two rows and two columns or more
     if has_lines and largest > 0 and values.count():
         levels = MaxNLocator(num_levels).tick_values(0.0, largest)[1:]
         ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.8)
@@ -263,13 +267,16 @@ def plot_error(
         raise ValueError("There is nothing to draw: no error is finite.")
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
     ax = prepare_axes(ax, shown)
+    # 1. Draw finite errors; errors below the logarithmic scale, such as 0, have its lowest color.
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
-    smallest = _ERROR_RANGE * (largest or 1.0)
+    smallest = _ERROR_RANGE * (largest or 1.0)  # 1.0: any scale will do if nearly all errors are 0
     shown_errors = np.ma.masked_invalid(np.maximum(errors, smallest))
     image = _add_image(ax, shown.box, shown_errors, _ERROR_COLORS, LogNorm(smallest, largest or 1.0))
+    # 2. Draw infinite errors in the lowest color of "autumn", which is red.
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
         _add_image(ax, shown.box, unanswered, "autumn", Normalize(1.0, 2.0))
+    # 3. Cover obstacles, and label.
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
     clipped = "both" if finite.max() > largest else "min"
@@ -279,6 +286,7 @@ def plot_error(
 
 
 def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
+    """Raise a ``ValueError`` unless a slice is one of the workspace, or of the space, and not both are given."""
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave it out.")
     if workspace is not None and space is not None:
@@ -290,6 +298,7 @@ def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest 
 def free_points(
     points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
 ) -> Bool[np.ndarray, "rows columns"]:
+    """Return which points of a slice are free in the workspace or the space; all are free if neither is given."""
     flat = points.reshape(-1, shown.domain.dim)
     if workspace is not None:
         return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
@@ -301,27 +310,31 @@ def _split_by_reachability(
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
     """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
     parts = shapely.get_parts(workspace.free_space)
-    reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
-    return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
+    is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
+    return (list(parts[is_reached]), list(parts[~is_reached])) if is_reached.any() else (list(parts), [])
 
 
-def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
+def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:
     """Return the corners, counterclockwise, of the rectangles in which cells meet a slice."""
+    # 1. Along the axes that are fixed, a cell holds the coordinates lo <= at < hi; the last cell holds its hi too.
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
-    others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
-    ends = hi[:, others] == shown.domain.hi[others]
-    at = shown.at[others]
-    meets = np.all((lo[:, others] <= at) & ((at < hi[:, others]) | (ends & (at == hi[:, others]))), axis=1)
+    fixed = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
+    at = shown.at[fixed]
+    is_below_end = (at < hi[:, fixed]) | ((at == hi[:, fixed]) & (hi[:, fixed] == shown.domain.hi[fixed]))
+    meets = np.all((lo[:, fixed] <= at) & is_below_end, axis=1)
+    # 2. Along the other two: x, y (cell, end).     y[1]  3---2
+    #                                               y[0]  0---1
+    #                                                   x[0]  x[1]
     x, y = np.stack([lo[meets], hi[meets]])[..., shown.axes].transpose(2, 1, 0)
     return np.stack([x[:, [0, 1, 1, 0]], y[:, [0, 0, 1, 1]]], axis=2)
 
 
 def _add_image(ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, norm: Normalize) -> AxesImage:
-    extent, aspect = (box.lo[0], box.hi[0], box.lo[1], box.hi[1]), ax.get_aspect()
-    options = {"extent": extent, "aspect": aspect, "cmap": colors, "norm": norm}
+    extent = (box.lo[0], box.hi[0], box.lo[1], box.hi[1])
+    options = {"extent": extent, "cmap": colors, "norm": norm, "aspect": ax.get_aspect()}  # else imshow changes it
     return ax.imshow(values, origin="lower", interpolation="nearest", **options)
 
 
 def _outline(polygon: shapely.Polygon) -> Path:
-    rings = [polygon.exterior, *polygon.interiors]
+    rings = shapely.get_rings(polygon)
     return Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))

@@ -24,11 +24,13 @@ from plr_jax.plot._plane import draw_values, free_points, mark_goals, require_dr
 from plr_jax.spaces import FreeTest
 
 _MOST_SLICES = 64
-# Inches: the longer side of a slice, gaps between slices with room for titles, margins, and the smallest figure, with
-# room for the label of the color bar.
-_PANEL, _GAP, _MARGIN, _LEAST = 1.9, (0.2, 0.35), (1.4, 0.45), (3.2, 2.9)
-_WIDE = 1.6  # aspect ratio of all slices together
-_NUM_LEVELS = 12
+_NUM_LEVELS = 12  # of contours
+_ASPECT = 1.6  # width of all slices together, by their height
+# Inches, along x and y.
+_PANEL = 1.9  # the longer side of a slice
+_GAP = (0.2, 0.35)  # between slices, with room for titles
+_MARGIN = (1.4, 0.45)
+_LEAST = (3.2, 2.9)  # the smallest figure, with room for the label of the color bar
 
 
 def slices(
@@ -80,29 +82,28 @@ def slices(
     cuts = [Slice.of(domain, {**at, axis: float(place)}) for place in places]
     require_drawable(cuts[0], None, space)
     points = [cut.grid(resolution) for cut in cuts]
-    values = [np.ma.masked_invalid(np.asarray(plr(each), dtype=np.float64)) for each in points]
-    shows = [
-        free_points(each, cut, None, space) & ~np.ma.getmaskarray(of)
-        for each, cut, of in zip(points, cuts, values, strict=True)
-    ]
-    largest = max((float(of[seen].max()) for of, seen in zip(values, shows, strict=True) if seen.any()), default=None)
-    if largest is None:
+    values = [np.ma.masked_invalid(np.asarray(plr(x), dtype=np.float64)) for x in points]
+    has_value = [free_points(points[i], cuts[i], None, space) & ~np.ma.getmaskarray(values[i]) for i in range(count)]
+    maxima = [float(v[mask].max()) for v, mask in zip(values, has_value, strict=True) if mask.any()]
+    if not maxima:
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
-    # 3. Draw slices row by row from the top left, with the aspect ratio of a figure in a paper.
+    # 3. Choose rows and columns. With rows = count / columns, columns * width = _ASPECT * rows * height gives
+    #    columns**2 = _ASPECT * count * height / width.
     horizontal, vertical = cuts[0].axes
     same_unit = is_angle(domain, horizontal) == is_angle(domain, vertical)
     width, height = cuts[0].box.width / cuts[0].box.width.max() if same_unit else (1.0, 1.0)
-    columns = int(np.clip(np.ceil(np.sqrt(_WIDE * count * height / width)), 1, count))
+    columns = int(np.clip(np.ceil(np.sqrt(_ASPECT * count * height / width)), 1, count))
     rows = -(-count // columns)
     columns = -(-count // rows)  # drop columns that stay empty
+    # 4. Draw slices row by row from the top left. Ticks have numbers along the left and lower borders of the figure.
     size = np.array([columns, rows]) * (_PANEL * np.array([width, height]) + _GAP) + _MARGIN
     figure = Figure(figsize=tuple(np.maximum(size, _LEAST)), dpi=DPI, facecolor="white", layout="constrained")
     grid = figure.add_gridspec(rows, columns)
     panels = [prepare_axes(figure.add_subplot(grid[divmod(i, columns)]), cuts[0]) for i in range(count)]
     title, _, _ = axis_label(domain, axis).partition(" (")
     for i, (ax, place) in enumerate(zip(panels, places, strict=True)):
-        closed = None if space is None else ~shows[i]
-        image = draw_values(ax, cuts[i], points[i], values[i], largest, _NUM_LEVELS, closed)
+        closed = None if space is None else ~has_value[i]
+        image = draw_values(ax, cuts[i], points[i], values[i], max(maxima), _NUM_LEVELS, closed)
         ax.set(xlabel="", ylabel="")
         ax.tick_params(labelleft=i % columns == 0, labelbottom=i + columns >= count)
         unit_of_axis = " rad" if is_angle(domain, axis) else ""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from plr_jax._arrays import as_finite, as_points, shortened
+from plr_jax._arrays import as_points, shortened
 from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
@@ -32,10 +32,9 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """
     weight = problem.rotation_weight
     entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]
-    versions = [_SHAPES[entry["shape"]][2] for entry in entries]
     scene = {
         "format": format_name(_KIND),
-        "version": max(*versions, 1 if weight is None else 2),
+        "version": max(1 if weight is None else 2, *(_SHAPES[entry["shape"]][2] for entry in entries)),
         "workspace": _workspace_entry(problem.workspace),
         "robots": entries,
         "starts": problem.starts.tolist(),
@@ -67,15 +66,13 @@ def load(path: str | os.PathLike[str]) -> Problem:
     sufficient version, and enough digits to read the same float64 numbers back. A file that is no scene, is damaged,
     has a newer version, or describes an impossible problem raises ``ValueError``.
     """
-    path = Path(path)
-    with errors_named(path):
-        scene = json_of(path)
+    with errors_named(path) as file:
+        scene = json_of(file)
         require_format(scene, _KIND, _VERSION, _KEYS)
         if not isinstance(scene["robots"], list):
             raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')
         robots = [_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = scene.get("rotation_weight") if scene["version"] > 1 else None
-        weight = None if weight is None else as_finite("rotation_weight", weight)
         return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 
@@ -89,24 +86,22 @@ def is_scene(path: str | os.PathLike[str]) -> bool:
 
 
 def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
-    for shape, (kind, sizes, _) in _SHAPES.items():
-        if type(robot) is kind:
-            return {"shape": shape, **{size: np.asarray(getattr(robot, size)).tolist() for size in sizes}}
+    for shape, (robot_class, fields, _) in _SHAPES.items():
+        if type(robot) is robot_class:
+            return {"shape": shape, **{field: np.asarray(getattr(robot, field)).tolist() for field in fields}}
     raise ValueError(f"Robot {i} must have one of the shapes {', '.join(_SHAPES)} to be saved, got {robot!r}.")
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
     """Make robot ``i`` of a scene from its entry in a decoded JSON file."""
-    allowed = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
-    shape = entry.get("shape") if isinstance(entry, dict) else None
-    kind, sizes, _ = allowed.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
-    if kind is None or set(entry) != {"shape", *sizes}:
-        forms = " or ".join(
-            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in allowed.items()
-        )
-        raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {shortened(entry)}.")
+    fields_of = {shape: fields for shape, (_, fields, first_version) in _SHAPES.items() if first_version <= version}
+    shape = str(entry.get("shape")) if isinstance(entry, dict) else ""
+    if shape not in fields_of or set(entry) != {"shape", *fields_of[shape]}:
+        forms = [str({"shape": name} | {field: f"<{field}>" for field in fields_of[name]}) for name in fields_of]
+        got = f"in version {version}, got {shortened(entry)}"
+        raise ValueError(f"expected robot {i} to be like {' or '.join(forms)} {got}.")
     try:
-        return kind(*(entry[size] for size in sizes))
+        return _SHAPES[shape][0](*(entry[field] for field in fields_of[shape]))
     except ValueError as error:
         raise ValueError(f"robot {i}: {error}") from None
 
@@ -115,8 +110,7 @@ def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
     obstacles = []
     for polygon in shapely.get_parts(workspace.obstacles):
         if not polygon.is_empty:
-            rings = (polygon.exterior, *polygon.interiors)
-            outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in rings)
+            outer, *holes = (shapely.get_coordinates(ring)[:-1].tolist() for ring in shapely.get_rings(polygon))
             obstacles.append({"outer": outer, "holes": holes})
     bounds = [workspace.bounds.lo.tolist(), workspace.bounds.hi.tolist()]
     return {"bounds": bounds, "squeeze": workspace.squeeze, "obstacles": obstacles}
@@ -138,9 +132,8 @@ def _workspace(entry: Any) -> Workspace:
 def _obstacle(i: int, entry: Any) -> Any:
     """Return obstacle ``i`` of a scene from its entry in a decoded JSON file: a ring, or a polygon with holes."""
     if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
-        raise ValueError(
-            f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}, got {shortened(entry)}.'
-        )
+        form = '{"outer": ring, "holes": [ring, ...]}'
+        raise ValueError(f"expected obstacle {i} to be {form}, got {shortened(entry)}.")
     if not entry.get("holes"):
         return entry["outer"]
     try:

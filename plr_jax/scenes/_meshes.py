@@ -39,7 +39,7 @@ def read_mesh(path: Path) -> Triangles:
     reader = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply}[path.suffix.lower()]
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # invalid and overflowing coordinates are rejected below
-            groups = reader(data)
+            groups = reader(data)  # one array of polygons per number of corners
             if sum(map(len, groups)) and all(np.isfinite(polygons).all() for polygons in groups):
                 return np.concatenate([triangulated(polygons) for polygons in groups])
     except _DAMAGE as error:
@@ -55,23 +55,30 @@ def triangulated(polygons: Polygons) -> Triangles:
     """
     if polygons.shape[1] == 3:
         return polygons
-    # 1. A quadrilateral is the fan of two triangles from its first corner, unless the fan folds over.
+    # 1. Make the fan of triangles from each polygon's first corner: (polygon, triangle, corner, coordinate).
+    #      3---2    A quadrilateral is its fan of two triangles, unless the fan folds over: then the normals of the
+    #      | / |    two triangles point in opposite directions.
+    #      0---1
     fans = np.stack([np.broadcast_to(polygons[:, :1], polygons[:, 2:].shape), polygons[:, 1:-1], polygons[:, 2:]], 2)
     normals = np.cross(fans[:, :, 1] - fans[:, :, 0], fans[:, :, 2] - fans[:, :, 0])
-    is_right = (polygons.shape[1] == 4) & ((normals[:, 0] * normals[:, 1]).sum(axis=1) > 0)
-    right, fans, polygons, normals = fans[is_right], fans[~is_right], polygons[~is_right], normals[~is_right]
-    # 2. Project along the axis closest to the normal, which keeps the most area. GEOS keeps the third coordinate.
+    is_simple = (polygons.shape[1] == 4) & ((normals[:, 0] * normals[:, 1]).sum(axis=1) > 0)
+    simple_fans = fans[is_simple]
+    fans, polygons, normals = (rows[~is_simple] for rows in (fans, polygons, normals))
+    # 2. Project the others along the axis k closest to the normal, which keeps the most area: reorder the coordinates
+    #    to (k + 1, k + 2, k), modulo 3. GEOS works in the first two, and carries the third along.
     axes = (np.abs(normals).sum(axis=1).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
-    seen: Any = shapely.polygons(np.take_along_axis(polygons, axes[:, None], axis=2))
+    projected: Any = shapely.polygons(np.take_along_axis(polygons, axes[:, None], axis=2))
     # 3. Triangulate. GEOS accepts outlines that touch themselves; those that cross are repaired first.
-    crossed = ~shapely.is_valid(seen)
-    seen[crossed] = shapely.make_valid(seen[crossed], method="structure", keep_collapsed=False)
-    parts, polygon = shapely.get_parts(shapely.constrained_delaunay_triangles(seen), return_index=True)
+    is_crossed = ~shapely.is_valid(projected)
+    projected[is_crossed] = shapely.make_valid(projected[is_crossed], method="structure", keep_collapsed=False)
+    parts, polygon = shapely.get_parts(shapely.constrained_delaunay_triangles(projected), return_index=True)
+    # Rings repeat their first corner.
     corners = shapely.get_coordinates(parts, include_z=True).reshape(-1, 4, 3)[:, :3]
-    back = np.argsort(axes, axis=1)[polygon]
+    # 4. Restore the order of coordinates. A polygon without triangles encloses nothing: its fan has no area.
+    inverse = np.argsort(axes, axis=1)[polygon]
     is_flat = np.bincount(polygon, minlength=len(polygons)) == 0
-    others = right.reshape(-1, 3, 3), fans[is_flat].reshape(-1, 3, 3)
-    return np.concatenate([np.take_along_axis(corners, back[:, None], axis=2), *others])
+    others = simple_fans.reshape(-1, 3, 3), fans[is_flat].reshape(-1, 3, 3)
+    return np.concatenate([np.take_along_axis(corners, inverse[:, None], axis=2), *others])
 
 
 def _read_stl(data: bytes) -> list[Polygons]:
@@ -84,11 +91,8 @@ def _read_stl(data: bytes) -> list[Polygons]:
     text = data.decode("ascii", "replace").lower()
     loops = re.findall(r"\bouter\s+loop\b(.*?)\bendloop\b", text, re.DOTALL)
     facets = [[vertex.split() for vertex in re.split(r"\bvertex\b", loop)[1:]] for loop in loops]
-    if (
-        "endsolid" not in text
-        or len(facets) != text.count("endfacet")
-        or min(map(len, facets), default=3) < _MIN_CORNERS
-    ):
+    is_complete = "endsolid" in text and len(facets) == text.count("endfacet")
+    if not is_complete or min(map(len, facets), default=_MIN_CORNERS) < _MIN_CORNERS:
         raise ValueError("a facet of the STL text is incomplete, or the line 'endsolid' is missing")
     return _grouped(facets)
 
@@ -104,14 +108,15 @@ def _read_obj(data: bytes) -> list[Polygons]:
                 faces.append([number - 1 if number > 0 else len(corners) + number for number in numbers])
                 if 0 in numbers or min(faces[-1], default=0) < 0:
                     raise ValueError(f"a face names corners that do not exist: {shortened(line)}")
-    return _grouped([[corners[number] for number in face] for face in faces])
+    return _grouped([[corners[index] for index in face] for face in faces])
 
 
 def _read_ply(data: bytes) -> list[Polygons]:
-    # 1. Read the header: elements, each with a number of rows and properties, some of which are lists.
+    # 1. Read the header: elements (name, number of rows, properties). A property is (name, type, type of the length),
+    #    where the last is None unless the property is a list.
     header, _, body = data.partition(b"end_header")
     body = body.partition(b"\n")[2]
-    order: Any = None
+    order: Any = None  # byte order
     elements = []
     for line in header.decode("ascii", "replace").splitlines():
         match line.split():
@@ -119,8 +124,8 @@ def _read_ply(data: bytes) -> list[Polygons]:
                 order = _PLY_ORDERS[kind]
             case ["element", element, count]:
                 elements.append((element, int(count), []))
-            case ["property", "list", counts, items, name]:
-                elements[-1][2].append((name, items, counts))
+            case ["property", "list", length_kind, kind, name]:
+                elements[-1][2].append((name, kind, length_kind))
             case ["property", kind, name]:
                 elements[-1][2].append((name, kind, None))
     if not data.startswith(b"ply") or order is None:
@@ -133,43 +138,49 @@ def _read_ply(data: bytes) -> list[Polygons]:
     def type_of(name: str) -> np.dtype:
         return np.dtype("f8" if is_text else _PLY_TYPES.get(name, name)).newbyteorder(order)
 
-    # 2. Read the rows of each element.
-    corners, groups, at = np.empty((0, 3)), [], 0
+    # 2. Read the rows of each element, from the byte `at` on.
+    corners, groups = np.empty((0, 3)), []
+    at = 0
     for element, count, properties in elements:
         if not 0 <= count <= len(body) or not properties:
-            raise ValueError(
-                f"element {shortened(element)} cannot have {count:,} rows and {len(properties)} properties"
-            )
-        kinds = [(name, type_of(kind)) for name, kind, _ in properties]
-        if not any(counts for _, _, counts in properties):
-            rows = np.frombuffer(body, np.dtype(kinds), count, at)
+            got = f"{count:,} rows and {len(properties)} properties"
+            raise ValueError(f"element {shortened(element)} cannot have {got}")
+        types = [(name, type_of(kind)) for name, kind, _ in properties]
+        # 2a. Rows of equal length, without lists, are one structured array.
+        if not any(length_kind for _, _, length_kind in properties):
+            rows = np.frombuffer(body, np.dtype(types), count, at)
             at += rows.nbytes
             if element == "vertex":
                 corners = np.stack([rows[along].astype(np.float64) for along in "xyz"], axis=1)
             continue
-        counters = [counts and struct.Struct(order + type_of(counts).char) for _, _, counts in properties]
-        begin, sizes, indices = array("q"), array("q"), None
+        # 2b. Else skip from property to property, and note where each face's list of indices begins, and its length.
+        lengths = [kind and struct.Struct(order + type_of(kind).char) for _, _, kind in properties]
+        begin, sizes = array("q"), array("q")
+        index_type = None
         for _ in range(count):
-            for (name, kind), counter in zip(kinds, counters, strict=True):
+            for (name, item_type), length in zip(types, lengths, strict=True):
                 size = 1
-                if counter is not None:
-                    (number,) = counter.unpack_from(body, at)
+                if length is not None:
+                    (number,) = length.unpack_from(body, at)
                     size = int(number)
                     if size != number or size < 0:
                         raise ValueError(f"a list cannot have {number} entries")
-                    at += counter.size
+                    at += length.size
                     if element == "face" and name in _PLY_FACES:
-                        indices = kind
+                        index_type = item_type
                         begin.append(at)
                         sizes.append(size)
-                at += size * kind.itemsize
+                at += size * item_type.itemsize
         if at > len(body):
             raise ValueError(f"its header promises {count:,} rows of {shortened(element)}, the file has fewer")
-        if indices is not None:
-            begin, sizes, of_bytes = np.array(begin), np.array(sizes), np.frombuffer(body, np.uint8)
+        # 2c. Gather the lists of indices, one array for each length.
+        if index_type is not None:
+            begin, sizes = np.array(begin), np.array(sizes)
+            body_bytes = np.frombuffer(body, np.uint8)
             for size in np.unique(sizes[sizes >= _MIN_CORNERS]):
-                rows = sliding_window_view(of_bytes, size * indices.itemsize)[begin[sizes == size]]
-                groups.append(rows.view(indices))
+                rows = sliding_window_view(body_bytes, size * index_type.itemsize)[begin[sizes == size]]
+                groups.append(rows.view(index_type))
+    # 3. Replace indices by corners; indices of text files, and of some binary ones, are floats.
     if any(((faces < 0) | (faces % 1 != 0)).any() for faces in groups):
         raise ValueError("the index of a corner is not an integer of at least 0")
     return [corners[faces.astype(np.int64)] for faces in groups]

@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -27,9 +26,8 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
     References: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
     https://movingai.com/benchmarks/formats.html.
     """
-    path = Path(path)
-    with errors_named(path):
-        return Workspace.from_mask(_passable_cells(text_of(path).splitlines()), tolerance=0, squeeze=squeeze)
+    with errors_named(path) as file:
+        return Workspace.from_mask(_passable_cells(text_of(file).splitlines()), tolerance=0, squeeze=squeeze)
 
 
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
@@ -37,23 +35,23 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
 
     Rows are in the order of the file. Cells and errors are as for :func:`read_map`.
     """
-    path = Path(path)
-    with errors_named(path):
-        return _passable_cells(text_of(path).splitlines())
+    with errors_named(path) as file:
+        return _passable_cells(text_of(file).splitlines())
 
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
     """Return which cells of the lines of a ``.map`` file are passable, in the order of the file."""
+    # 1. Read the numbers of rows and columns in the header.
     match [line.split() for line in lines[:_HEADER_LINES]]:
         case [["type", _], ["height", height], ["width", width], ["map"]] if (
             height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
         ):
             rows, columns = int(height), int(width)
         case _:
-            raise ValueError(
-                "expected a Moving AI map that begins with the lines 'type octile', 'height N', 'width N' and 'map', "
-                f"got {shortened(lines[:_HEADER_LINES])}."
-            )
+            header = "the lines 'type octile', 'height N', 'width N' and 'map'"
+            got = shortened(lines[:_HEADER_LINES])
+            raise ValueError(f"expected a Moving AI map that begins with {header}, got {got}.")
+    # 2. Read the rows, one character per cell; more lines may follow.
     grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
     if len(grid) < rows:
         raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
@@ -91,25 +89,23 @@ def read_scen(path: str | os.PathLike[str]) -> Scenario:
 
     ``ValueError`` is raised if the file is invalid or has no queries.
     """
-    path = Path(path)
-    with errors_named(path):
-        lines = text_of(path).splitlines()
+    with errors_named(path) as file:
+        lines = text_of(file).splitlines()
         if not lines or lines[0].split()[:1] != ["version"]:
             raise ValueError("expected a Moving AI scenario, whose first line is 'version 1', got another file.")
-        names, rows = [], []
+        names, rows = [], []  # a row is start x, start y, goal x, goal y and octile length
         for number, line in enumerate(lines[1:], start=2):
             if not line.strip():
                 continue
+            # Fields are separated by tabs, or else by spaces, which names of maps do not hold then.
             fields = line.split("\t") if "\t" in line else line.split()
             try:
                 numbers = [float(field) for field in fields[4:]]
             except ValueError:
                 numbers = []
             if len(fields) != _SCEN_COLUMNS or not numbers or not np.isfinite(numbers).all():
-                raise ValueError(
-                    f"line {number}: expected bucket, map, width, height, start x, start y, goal x, goal y "
-                    f"and octile length, got {shortened(line)}."
-                )
+                columns = "bucket, map, width, height, start x, start y, goal x, goal y and octile length"
+                raise ValueError(f"line {number}: expected {columns}, got {shortened(line)}.")
             names.append(fields[1])
             rows.append(numbers)
         if not rows:

@@ -28,20 +28,25 @@ Gray = Int[np.ndarray, "rows columns"]
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
-# Most pixels of a picture, most bytes of its decoded pixels (4 a pixel in color), and most bytes of its file.
-_MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
-_SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # a file may have this many pixels, or this many per byte
+# Limits of a picture, which bound the memory and time that any file takes.
+_MOST_BYTES = 2**26  # of the file
+_MOST_PIXELS = 2**24
+_MOST_DECODED = 3 * 2**24  # bytes of all decoded pixels
+_SMALL = 2**22  # pixels that a file of any size may have
+_PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger pictures
+_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
+_BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 _NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
 _NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
-_BYTES = {"1": 1, "L": 1, "P": 1}  # bytes of a decoded pixel by mode; all other modes take 4
-_BAND = 2**18  # pixels that are converted at a time, which bounds the memory
-OPAQUE = 255
-_BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
-_PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113  # of GeoTIFF
-_PIXEL_IS_POINT = 1025, 0, 1, 2  # with this GeoTIFF key, raster coordinates refer to pixel centers
-_IS_GEOGRAPHIC = 1024, 0, 1, 2  # with this GeoTIFF key, coordinates are longitudes and latitudes
-_BLACK_IS_ZERO, _SIGNED = 1, 2  # values of the tags _PHOTOMETRIC and _SAMPLE_FORMAT
+OPAQUE = 255  # largest value of an alpha channel
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
+# Tags of TIFF, two of their values, and tags of GeoTIFF.
+_BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339
+_BLACK_IS_ZERO, _SIGNED = 1, 2  # of _PHOTOMETRIC and of _SAMPLE_FORMAT
+_PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
+# Entries of _GEO_KEYS: the key, the tag that holds its value (0: this entry), the number of values, and the value.
+_PIXEL_IS_POINT = [1025, 0, 1, 2]  # raster coordinates refer to pixel centers
+_IS_GEOGRAPHIC = [1024, 0, 1, 2]  # coordinates are longitudes and latitudes
 
 
 def read_image(
@@ -72,11 +77,10 @@ def read_image(
     Raises:
         ValueError: If the file is no such picture, damaged or too large, nothing is free, or an argument is invalid.
     """
-    path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
-    with errors_named(path):
+    with errors_named(path) as file:
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
-        return Workspace.from_mask(free_pixels(path, threshold), resolution, origin, row0="top", **options)
+        return Workspace.from_mask(free_pixels(file, threshold), resolution, origin, row0="top", **options)
 
 
 def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
@@ -88,18 +92,24 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
         return _MapServer.read(path).free(unknown_is_free=False)
     with open_picture(path) as picture:
         free = np.empty((picture.height, picture.width), bool)
-        for rows, light, full, alpha in bands(picture):
-            on_white = light if alpha is None else full + (light - full) * (alpha / OPAQUE)
-            free[rows] = on_white > threshold * full
+        for rows, light, white, alpha in bands(picture):
+            # A pixel of opacity a = alpha / OPAQUE over white appears as a * light + (1 - a) * white.
+            on_white = light if alpha is None else white + (light - white) * (alpha / OPAQUE)
+            free[rows] = on_white > threshold * white
     return free
 
 
 @contextmanager
 def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
-    """Open a picture upright and check it; ``numbers`` also allows a TIFF with one channel of numbers."""
+    """Open a picture, check it, and turn it upright; ``numbers`` also allows a TIFF with one channel of numbers.
+
+    ``ValueError`` is raised if the file is no picture, is damaged or too large, or Pillow does not decode its pixels
+    reliably.
+    """
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
+        # 1. Read the header, which tells the size and the kind of pixels.
         num_bytes = os.fstat(file.fileno()).st_size
         if num_bytes > _MOST_BYTES:
             raise ValueError(f"expected a picture of at most {_MOST_BYTES:,} bytes, got a larger file.")
@@ -110,41 +120,41 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
             expected = f"a TIFF of {_NUMBERS}" if numbers else f"a picture ({', '.join(_FORMATS)})"
             raise ValueError(f"expected {expected}, got something else ({error}).") from None
         with picture:
+            # 2. Reject pictures that take too much memory, before any pixel is decoded.
             _require_limits(picture, num_bytes)
             if not (numbers and picture.mode in _NUMBER_MODES):
                 _require_plain(picture, numbers)
+            # 3. Decode the pixels, and apply the orientation that the file states.
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
             except Exception as error:
-                raise ValueError(
-                    f"expected a complete picture, got a damaged one ({error or type(error).__name__})."
-                ) from None
+                raise ValueError(f"expected a complete picture, got a damaged one ({error}).") from None
             yield picture
 
 
 def _require_limits(picture: "Image", num_bytes: int) -> None:
     """Raise a ``ValueError`` if a picture, whose file has ``num_bytes`` bytes, takes too much memory to decode."""
+    size = f"{picture.width:,} x {picture.height:,}"
     num_pixels = picture.width * picture.height
-    if num_pixels > _MOST_PIXELS or num_pixels * _BYTES.get(picture.mode, 4) > _MOST_DECODED:
-        raise ValueError(
-            f"expected a picture of at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color, got "
-            f"{picture.width:,} x {picture.height:,}: make it smaller."
-        )
-    most = max(_SMALL, _PIXELS_PER_BYTE * num_bytes)
-    if num_pixels > most:
-        raise ValueError(
-            f"expected at most {most:,} pixels in a file of {num_bytes:,} bytes, got {picture.width:,} x "
-            f"{picture.height:,}: it is damaged, or nearly all of one color; crop it."
-        )
+    if num_pixels > _MOST_PIXELS or num_pixels * _BYTES_PER_PIXEL.get(picture.mode, 4) > _MOST_DECODED:
+        limits = f"at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color"
+        raise ValueError(f"expected a picture of {limits}, got {size}: make it smaller.")
+    max_pixels = max(_SMALL, _PIXELS_PER_BYTE * num_bytes)
+    if num_pixels > max_pixels:
+        limit = f"at most {max_pixels:,} pixels in a file of {num_bytes:,} bytes"
+        raise ValueError(f"expected {limit}, got {size}: it is damaged, or nearly all of one color; crop it.")
 
 
 def _require_plain(picture: Any, numbers: bool) -> None:
-    # Pillow does not decode the lightness or opacity of other pixels reliably.
-    raw = str(picture.tile[0][3]) if picture.tile else ""  # how the file stores pixels, such as "L;4": gray of 4 bits
-    tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
+    """Raise a ``ValueError`` if Pillow does not decode the lightness or opacity of a picture reliably.
+
+    In PNG files of 2 or 4 bits, Pillow scales gray pixels to 8 bits, but not the gray that counts as transparent:
+    this function scales ``picture.info["transparency"]`` in place.
+    """
     # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black.
+    tags = getattr(picture, "tag_v2", None)
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
-    if tags and is_deep:
+    if tags and picture.mode.startswith("I"):  # gray of more than 8 bits
         is_plain &= tags.get(_BITS_PER_SAMPLE) == (16,) and tags.get(_PHOTOMETRIC) == _BLACK_IS_ZERO
     if picture.mode == "F" or not is_plain:
         raise ValueError(
@@ -152,14 +162,16 @@ def _require_plain(picture: Any, numbers: bool) -> None:
             f"save it in 8 bits{'' if numbers else ' for a map of walls; scenes.read_cost_map reads costs'}."
         )
     # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
-    if picture.mode == "RGB" and "16" in raw and "transparency" in picture.info:
-        raise ValueError("expected a transparent color of 8 bits, got 16 bits: save it with an alpha channel.")
-    if raw in _GRAY_STEP and "transparency" in picture.info:  # Pillow scales pixels, but not the transparent gray
-        picture.info["transparency"] *= _GRAY_STEP[raw]
+    if picture.tile and "transparency" in picture.info:
+        raw_mode = str(picture.tile[0][3])  # how the file stores pixels: "L;4" is gray of 4 bits
+        if picture.mode == "RGB" and "16" in raw_mode:
+            raise ValueError("expected a transparent color of 8 bits, got 16 bits: save it with an alpha channel.")
+        if raw_mode in _GRAY_STEP:
+            picture.info["transparency"] *= _GRAY_STEP[raw_mode]
 
 
 def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield bands of rows: their slice and lightness, the lightness of white, and opacity to 255 (None if opaque)."""
+    """Yield a picture in bands of rows: the slice of the rows, and the three values of :func:`_lightness`."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
@@ -168,10 +180,11 @@ def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
 
 def _lightness(part: "Image") -> tuple[Gray, int, Gray | None]:
     """Return the lightness of each pixel, the lightness of white, and opacity from 0 to 255 (None if opaque)."""
-    # Opaque gray of 8 bits, and gray of 16 bits, stay as they are; else lightness is the sum of red, green and blue.
+    # Gray of 16 bits, and opaque gray of 8 bits, stay as they are; else lightness is the sum of red, green and blue.
     if part.mode.startswith("I"):
-        light, clear = np.asarray(part, np.int32), part.info.get("transparency")
-        return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
+        light = np.asarray(part, np.int32)
+        transparent = part.info.get("transparency")  # the gray of all pixels that are transparent
+        return light, 2**16 - 1, None if transparent is None else np.where(light == transparent, 0, OPAQUE)
     if part.mode in ("1", "L") and not part.has_transparency_data:
         return np.asarray(part.convert("L"), np.int32), 2**8 - 1, None
     red, green, blue, alpha = np.moveaxis(np.asarray(part.convert("RGBA")), 2, 0).astype(np.int32)
@@ -180,7 +193,8 @@ def _lightness(part: "Image") -> tuple[Gray, int, Gray | None]:
 
 _REQUIRED = ("image", "resolution", "origin")
 _MODES = ("trinary", "scale", "raw")
-_RAW_FULL, _RAW_MOST = 255, 100  # raw pixels up to 100 are occupancy in percent, others unknown
+_RAW_WHITE = 255  # mode "raw" reads pixels as integers from 0 (black) to this
+_RAW_MOST = 100  # mode "raw": pixels up to this are occupancy in percent, others unknown
 _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # values of occupancy grids
 
 
@@ -212,10 +226,9 @@ def read_map_server(
 
     References: http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
     """
-    path = Path(path)
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
-    with errors_named(path):
-        map_server = _MapServer.read(path)
+    with errors_named(path) as file:
+        map_server = _MapServer.read(file)
         free = map_server.free(unknown_is_free)
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
         return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
@@ -251,27 +264,23 @@ def read_cost_map(
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
             blocked, or an option is not for this kind of file.
     """
-    path = Path(path)
-    with errors_named(path):
+    with errors_named(path) as file:
         from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
 
-        if path.suffix.lower() in (".tif", ".tiff"):
+        if file.suffix.lower() in (".tif", ".tiff"):
             if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
                 raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
-            return RasterCost(*_read_factors(path), interpolation)
-        map_server = _MapServer.read(path)
+            return RasterCost(*_read_factors(file), interpolation)
+        map_server = _MapServer.read(file)
         x, y, yaw = map_server.origin
         if yaw != 0:
             raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")
         grid = map_server.cells(map_server.occupancy_grid, np.int8)[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
         hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
+        options: Any = {"unknown_is_free": unknown_is_free, "interpolation": interpolation}
         return RasterCost.from_occupancy_grid(
-            grid,
-            ((x, y), hi),
-            cost_travel_multiplier=cost_travel_multiplier,
-            unknown_is_free=unknown_is_free,
-            interpolation=interpolation,
+            grid, ((x, y), hi), cost_travel_multiplier=cost_travel_multiplier, **options
         )
 
 
@@ -279,16 +288,14 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
     """Read a TIFF of cost factors: the factors, lowest row first, ``inf`` where blocked, and the raster's corners."""
     with open_picture(path, numbers=True) as picture:
         if picture.mode not in _NUMBER_MODES:
-            raise ValueError(
-                f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. For a map of map_server give "
-                "its .yaml file."
-            )
+            advice = "For a map of map_server give its .yaml file."
+            raise ValueError(f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. {advice}")
         tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
-        factors, is_float = np.array(picture, np.float64)[::-1], picture.mode == "F"
+        factors = np.array(picture, np.float64)[::-1]
     # 1. Block cells without data. Floats were rounded to 32 bits when they were written.
-    missing = float(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))
+    no_data = float(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))
     with np.errstate(over="ignore"):
-        factors[factors == (float(np.float32(missing)) if is_float else missing)] = np.inf
+        factors[factors == (float(np.float32(no_data)) if picture.mode == "F" else no_data)] = np.inf
     # 2. Locate the raster by the tie point: `column` and `row`, counted from the upper left corner of the raster, lie
     #    at (x, y) of the map.
     #      +-----------+    x = lo_x + column * along_x
@@ -298,14 +305,14 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
     if _TRANSFORMATION in tags:
         raise ValueError("expected a GeoTIFF whose rows lie along x, got a transformation: rotate the picture.")
     rows, columns = factors.shape
-    column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))
+    column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))  # by default lo is at (0, 0)
     sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
     along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
-    keys = np.ravel(tags.get(_GEO_KEYS, ()))  # groups of four numbers: key, place of its value, count, value
+    keys = np.ravel(tags.get(_GEO_KEYS, ()))
     keys = keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist()
-    if [*_PIXEL_IS_POINT] in keys:  # pixel (0, 0) has its center there, half a pixel from the corner
+    if _PIXEL_IS_POINT in keys:  # pixel (0, 0) has its center there, half a pixel from the corner
         column, row = column + 0.5, row + 0.5
-    if [*_IS_GEOGRAPHIC] in keys:
+    if _IS_GEOGRAPHIC in keys:
         warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=4)
     lo = x - column * along_x, y - (rows - row) * along_y
     require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
@@ -335,6 +342,7 @@ class _MapServer:
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
         """Read and check the ``.yaml`` file of a map, with ROS's defaults; the picture is read later."""
+        # 1. Find the picture.
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
@@ -343,9 +351,11 @@ class _MapServer:
             raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
         if not image.exists():
             raise FileNotFoundError(errno.ENOENT, f"No such picture, named as image in {path}", str(image))
-        mode, negate = entry.get("mode", "trinary"), entry.get("negate", 0)
+        # 2. Check what its pixels mean, and where it lies.
+        mode = entry.get("mode", "trinary")
         if mode not in _MODES:
             raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
+        negate = entry.get("negate", 0)
         if negate not in (0, 1):
             raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
         resolution = as_finite("resolution", _number("resolution", entry["resolution"]), positive=True)
@@ -353,9 +363,9 @@ class _MapServer:
         if not isinstance(origin, list) or len(origin) not in (2, 3):
             raise ValueError(f"origin must be [x, y, yaw], got {shortened(origin)}.")
         origin = np.array([_number("origin", value) for value in [*origin, 0.0][:3]])
-        thresholds = {"free_thresh": 0.196, "occupied_thresh": 0.65}
-        thresholds = (_number(key, entry.get(key, default)) for key, default in thresholds.items())
-        return cls(image, resolution, origin, mode, bool(negate), *thresholds)
+        free_thresh = _number("free_thresh", entry.get("free_thresh", 0.196))
+        occupied_thresh = _number("occupied_thresh", entry.get("occupied_thresh", 0.65))
+        return cls(image, resolution, origin, mode, bool(negate), free_thresh, occupied_thresh)
 
     def cells(
         self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
@@ -363,13 +373,13 @@ class _MapServer:
         """Apply ``value_of`` to the occupancy (0 to 1, NaN where unknown) of all pixels; row 0 is the top row."""
         with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
-            for rows, light, full, alpha in bands(picture):
-                # Lightness is from 0 to `full`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
+            for rows, light, white, alpha in bands(picture):
+                # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
                 if self.mode == "trinary" and alpha is not None:
-                    light = 0.75 * light + 0.25 * full * (alpha / OPAQUE)
-                occupancy = (light if self.negate else full - light) / full
+                    light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
+                occupancy = (light if self.negate else white - light) / white
                 if self.mode == "raw":
-                    percent = np.rint(_RAW_FULL * light / full)
+                    percent = np.rint(_RAW_WHITE * light / white)
                     occupancy = np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
                 if self.mode == "scale" and alpha is not None:
                     occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
@@ -378,20 +388,23 @@ class _MapServer:
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
         """Return which pixels are free: row 0 is the top row."""
-        # Comparisons with NaN (unknown) are False. So unknown pixels are free only by the first test.
-        least, most = self.free_thresh, self.occupied_thresh
-        return self.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
+        # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
+        if unknown_is_free:
+            return self.cells(lambda occupancy: ~(occupancy > self.occupied_thresh), bool)
+        return self.cells(lambda occupancy: occupancy < self.free_thresh, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
         """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
-        between = np.full(occupancy.shape, _UNKNOWN, np.float64)  # also where occupancy is NaN: comparisons are False
+        # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
+        # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))
-        least, most = self.free_thresh, self.occupied_thresh
-        if self.mode == "scale" and least < most:
-            fraction = np.clip((occupancy - least) / (most - least), 0.0, 1.0)
+        between = np.full(occupancy.shape, _UNKNOWN, np.float64)  # also where occupancy is NaN: comparisons are False
+        lowest, highest = self.free_thresh, self.occupied_thresh
+        if self.mode == "scale" and lowest < highest:
+            fraction = np.clip((occupancy - lowest) / (highest - lowest), 0.0, 1.0)
             between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * fraction))
-        return np.where(occupancy > most, _OCCUPIED, np.where(occupancy < least, _FREE, between))
+        return np.where(occupancy > highest, _OCCUPIED, np.where(occupancy < lowest, _FREE, between))
 
 
 def _number(name: str, value: object) -> float:

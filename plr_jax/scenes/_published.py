@@ -1,4 +1,4 @@
-"""Ready-made scenes of the paper and the experiments, some read from the folder ``published``, and variants."""
+"""Ready-made scenes of the paper and the experiments, most read from the folder ``published``, and variants."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from plr_jax._arrays import as_finite, require_integer
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot
+from plr_jax.robots.robot import DiscRobot
 from plr_jax.scenes._file import load
 
 _ATTEMPTS = 1000
@@ -35,6 +35,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
 
 def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
     """Move robot ``i``'s start (``end`` 0) or goal (1) to a random free place, up to ``distance`` away."""
+    # The square root makes the positions uniform in the disc.
     for _ in range(_ATTEMPTS):
         ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
@@ -43,19 +44,19 @@ def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distanc
             ends[end, i, 2] += rng.uniform(-1, 1) * distance / problem.robots[i].circumscribed_radius
         with suppress(ValueError):
             return Problem(problem.workspace, problem.robots, ends[0], ends[1], problem.rotation_weight)
-    raise ValueError(
-        f"Robot {i} has no other free {('start', 'goal')[end]} within {distance:g} in {_ATTEMPTS:,} attempts."
-    )
+    name = ("start", "goal")[end]
+    raise ValueError(f"Robot {i} has no other free {name} within {distance:g} in {_ATTEMPTS:,} attempts.")
 
 
-_RADIUS = 0.4
-_MOST_AT_A_DOOR = 50
-_WALLS = (
+_RADIUS = 0.4  # of the discs at a door and in a crowd
+_MOST_AT_A_DOOR = 50  # robots
+_WALLS = (  # of a door
     ((10.0, 0.0), (11.0, 0.0), (11.0, 9.4), (10.0, 9.4)),
     ((10.0, 10.6), (11.0, 10.6), (11.0, 20.0), (10.0, 20.0)),
 )
-_COVERED, _CLEAR = 0.15, 0.05
-_MOST_TRIALS = 1_000_000
+_COVERED = 0.15  # share of the square that a crowd covers
+_CLEAR = 0.05  # smallest gap between discs of a crowd, and to walls
+_MOST_TRIALS = 1_000_000  # random positions that are tried for the starts of a crowd, and for its goals
 
 
 def door(num_robots: int) -> Problem:
@@ -67,7 +68,7 @@ def door(num_robots: int) -> Problem:
     require_integer("num_robots", num_robots, 2)
     if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
         raise ValueError(f"num_robots must be an even number from 2 to 50, got {num_robots!r}.")
-    row, column = np.divmod(np.arange(num_robots // 2), 5)
+    row, column = np.divmod(np.arange(num_robots // 2), 5)  # rows of five
     left = np.stack([1 + 1.7 * column, 2 + 3.9 * row], axis=1)
     right = left * (-1, 1) + (21, 0)
     workspace = Workspace(((0, 0), (21, 20)), _WALLS)
@@ -91,7 +92,8 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
     """Draw random places for discs in a square of width ``side``, at a distance from one another."""
-    places, margin = np.empty((0, 2)), _RADIUS + _CLEAR
+    places = np.empty((0, 2))
+    margin = _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):
         place = rng.uniform(margin, side - margin, 2)
         if (np.hypot(*(places - place).T) >= 2 * _RADIUS + _CLEAR).all():
@@ -102,33 +104,17 @@ def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[
 
 
 _FOLDER = Path(__file__).parent / "published"
-# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, where the side of a cell would coincide with it.
-_MAZE = (
-    (0.00, 0.19, 0.71, 0.23),
-    (0.27, 0.43, 1.00, 0.47),
-    (0.00, 0.68, 0.63, 0.72),
-    (0.79, 0.47, 0.83, 0.83),
-    (0.41, 0.23, 0.45, 0.36),
-    (0.19, 0.79, 0.23, 1.00),
-)
-_THIN_MAZE = (
-    (0.00, 0.205, 0.71, 0.215),
-    (0.27, 0.445, 1.00, 0.455),
-    (0.00, 0.695, 0.63, 0.705),
-    (0.805, 0.455, 0.815, 0.83),
-    (0.425, 0.215, 0.435, 0.36),
-    (0.205, 0.79, 0.215, 1.00),
-)
+# In the scenes of points, no wall lies on a dyadic line, where the side of a cell would coincide with the wall.
 
 
 def maze() -> Problem:
     """A point robot that moves from (0.93, 0.95) to (0.06, 0.07) in the unit square, among six walls 0.04 thick."""
-    return _point_problem(_MAZE)
+    return load(_FOLDER / "maze.json")
 
 
 def thin_maze() -> Problem:
     """A point robot in the scene of :func:`maze` with walls 0.01 thick, across which distances jump."""
-    return _point_problem(_THIN_MAZE)
+    return load(_FOLDER / "thin_maze.json")
 
 
 def floor_plan() -> Problem:
@@ -173,9 +159,3 @@ def _team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
         choices = ", ".join(map(str, numbers))
         raise ValueError(f"The scene {name} must have {choices} robots, got {num_robots!r}.")
     return load(_FOLDER / f"{name}_{num_robots}.json")
-
-
-def _point_problem(walls: Sequence[tuple[float, float, float, float]]) -> Problem:
-    rings = [[(x0, y0), (x1, y0), (x1, y1), (x0, y1)] for x0, y0, x1, y1 in walls]
-    workspace = Workspace(((0.0, 0.0), (1.0, 1.0)), rings)
-    return Problem(workspace, [PointRobot()], [(0.93, 0.95)], [(0.06, 0.07)])

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,15 +14,19 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.scenes._meshes import MESH_ENDINGS, Triangles, read_mesh
 
-_MOST_VOXELS, _MOST_RANK = 2**28, 4
+# Limits of arrays and lists.
+_MOST_VOXELS = 2**28
+_MOST_RANK = 4
 _MOST_LIST_BYTES = 2**25
-_SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # most voxels of a list: this many, or this many per byte of the file
+_SMALL_LIST = 2**24  # voxels of a volume that a list of any size may have
+_VOXELS_PER_BYTE = 2**8  # most voxels per byte of a list, for larger volumes
+# Limits of meshes.
 _MOST_MESH_VOXELS = 2**24
 _MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows and voxels that the triangles meet, each counted once per triangle
 _AT_A_TIME = 2**15  # slabs or rows in a batch, which bounds the memory
 _TOUCHES = 1e-6  # voxels: a surface this close to a voxel meets it
 _FARTHEST = 2**30  # voxels: within this distance, rounding errors of coordinates stay below `_TOUCHES`
-Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]
+Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]  # (axis, begin or end, edge, polygon)
 Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
 
 
@@ -55,28 +59,26 @@ def read_volume(
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is
             invalid or not for this kind of file.
     """
-    path, fill = Path(path), as_bool("fill", fill)
-    ending = path.suffix.lower()
-    is_mesh = ending in MESH_ENDINGS
-    with errors_named(path):
+    fill = as_bool("fill", fill)
+    with errors_named(path) as file:
+        ending = file.suffix.lower()
+        is_mesh = ending in MESH_ENDINGS
         if ending not in (".npy", ".3dmap", *MESH_ENDINGS):
             raise ValueError(f"expected a file that ends in one of .npy, .3dmap, {', '.join(MESH_ENDINGS)}.")
-        if not is_mesh:
-            if pitch is not None or bounds is not None or not fill:
-                raise ValueError(
-                    f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out."
-                )
-            free = _read_array(path) if ending == ".npy" else _read_list(path)
-        else:
+        if is_mesh:
             if pitch is None:
                 raise ValueError("expected a pitch, the side of a voxel, for a mesh: give one.")
             box = None if bounds is None else Box.of(bounds, "bounds")
             if box is not None and box.dim != 3:
                 raise ValueError(f"bounds of a mesh must be a Box of three axes, got {box}.")
-            free = free_of_mesh(read_mesh(path), as_finite("pitch", pitch, positive=True), box, fill)
-    if not free.any():
-        enclosed = "; fill=False leaves free what the surface encloses" if is_mesh and fill else ""
-        raise ValueError(f"{path}: expected at least one free voxel, got none{enclosed}.")
+            free = free_of_mesh(read_mesh(file), as_finite("pitch", pitch, positive=True), box, fill)
+        elif pitch is not None or bounds is not None or not fill:
+            raise ValueError(f"pitch, bounds and fill are for meshes ({', '.join(MESH_ENDINGS)}): leave them out.")
+        else:
+            free = _read_array(file) if ending == ".npy" else _read_list(file)
+        if not free.any():
+            enclosed = "; fill=False leaves free what the surface encloses" if is_mesh and fill else ""
+            raise ValueError(f"expected at least one free voxel, got none{enclosed}.")
     return free
 
 
@@ -100,19 +102,19 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
 def _read_list(path: Path) -> Voxels:
     """Read a text file that lists blocked voxels after a line with the numbers of voxels."""
     text = text_of(path, _MOST_LIST_BYTES)
-    first, _, rest = text.partition("\n")
+    header, _, body = text.partition("\n")
     # 1. Read the number of voxels along each axis.
-    match first.split():
+    match header.split():
         case ["voxel", *sizes] if len(sizes) == 3 and all(size.isdecimal() and len(size) < 10 for size in sizes):
             shape = int(sizes[0]), int(sizes[1]), int(sizes[2])
         case _:
-            raise ValueError(f"expected a list of voxels with first line 'voxel nx ny nz', got {shortened(first)}.")
-    most = min(_MOST_VOXELS, max(_SMALL_LIST, _VOXELS_PER_BYTE * len(text)))
-    if not 0 < shape[0] * shape[1] * shape[2] <= most:
-        raise ValueError(f"expected one to {most:,} voxels in a file of this size, got {' x '.join(sizes)}.")
+            raise ValueError(f"expected a list of voxels with first line 'voxel nx ny nz', got {shortened(header)}.")
+    max_voxels = min(_MOST_VOXELS, max(_SMALL_LIST, _VOXELS_PER_BYTE * len(text)))
+    if not 0 < shape[0] * shape[1] * shape[2] <= max_voxels:
+        raise ValueError(f"expected one to {max_voxels:,} voxels in a file of this size, got {' x '.join(sizes)}.")
     free = np.ones(shape, bool)
     # 2. Read the indices of blocked voxels.
-    lines = [line for line in rest.splitlines() if line and not line.isspace()]
+    lines = [line for line in body.splitlines() if line and not line.isspace()]
     if not lines:
         return free
     try:
@@ -129,49 +131,57 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
-    """Return which voxels no triangle meets and, with ``fill``, the surface does not enclose."""
+    """Return which voxels no triangle meets and, with ``fill``, the surface does not enclose.
+
+    Voxels are cubes of side ``pitch``, counted from the lower corner of ``bounds`` (None: of the triangles).
+    """
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
+    # 1. Make an empty grid, and convert to units of voxels. Huge numbers overflow to inf or NaN, and are rejected.
     with np.errstate(over="ignore", invalid="ignore"):
-        count = np.maximum(1.0, np.ceil((hi - lo) / pitch - _TOUCHES))
-        triangles, size = (triangles - lo) / pitch, count.prod()
-    if not size <= _MOST_MESH_VOXELS:
-        sizes = " x ".join(f"{along:.6g}" for along in count)
+        shape = np.maximum(1.0, np.ceil((hi - lo) / pitch - _TOUCHES))
+        num_voxels = shape.prod()
+        triangles = (triangles - lo) / pitch
+    if not num_voxels <= _MOST_MESH_VOXELS:
+        sizes = " x ".join(f"{along:.6g}" for along in shape)
         raise ValueError(f"expected at most {_MOST_MESH_VOXELS:,} voxels, got {sizes}: give a larger pitch.")
-    blocked = np.zeros(count.astype(np.int64).tolist(), bool)
-    meets = (triangles.min(axis=1) <= count + 1) & (triangles.max(axis=1) >= -1)
-    _block_surface(triangles[meets.all(axis=1)], blocked)
-    free = ~blocked
-    if not fill:
-        return free
-    # Voxels that are not connected to the border of the grid through faces are enclosed.
-    from scipy import ndimage
+    blocked = np.zeros(shape.astype(np.int64).tolist(), bool)
+    # 2. Block the surface, of the triangles whose bounding boxes are near the grid.
+    is_near = (triangles.min(axis=1) <= shape + 1) & (triangles.max(axis=1) >= -1)
+    _block_surface(triangles[is_near.all(axis=1)], blocked)
+    # 3. Block what it encloses: free voxels that are not connected through faces to the border of the grid.
+    if fill:
+        from scipy import ndimage
 
-    labeled: Any = ndimage.label(free)
-    part = labeled[0]
-    reached = np.zeros(int(part.max()) + 1, bool)
-    for axis in range(part.ndim):
-        reached[np.take(part, (0, -1), axis)] = True
-    reached[0] = False
-    return reached[part]
+        ndimage.binary_fill_holes(blocked, output=blocked)
+    return ~blocked
 
 
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    # Cut triangles into slabs between planes of the grid, and slabs into rows along a second axis. In each row, the
-    # outline of a piece gives the range of voxels that the piece meets. Coordinates are in units of voxels.
+    """Set ``blocked``, in place, where triangles meet voxels; coordinates are in units of voxels.
+
+    Triangles are cut into slabs, one voxel thick, along the first axis, and slabs into rows along the second axis.
+    The outline of what is left gives the range of voxels along the third axis. (Axes are reordered by length.)
+    """
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one farther away.")
-    order = np.argsort(blocked.shape, kind="stable")  # ranges of voxels run along the longest axis
-    blocked, corners = blocked.transpose(order), triangles.transpose(2, 1, 0)[order]
+    # 1. Sort the axes, so that ranges run along the longest axis; `blocked` becomes a view of the caller's array.
+    order = np.argsort(blocked.shape, kind="stable")
+    blocked = blocked.transpose(order)
+    corners = triangles.transpose(2, 1, 0)[order]  # (axis, corner, triangle)
+    # 2. List the edges (axis, end, edge, triangle). Each begins at its lower end along the first axis, so both
+    #    triangles at an edge clip it alike.
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
     edges = np.where(edges[:1, :1] > edges[:1, 1:], edges[:, ::-1], edges)
+    # 3. Clip to slabs, then to rows, in batches. Each clipping drops the axis along which it clips.
     num_rows = num_met = 0
     for triangle, slab in _split_into_layers(edges[0], blocked.shape[0]):
         outlines = _outlines(_clip_to_layers(edges[..., triangle], slab))
         for piece, row in _split_into_layers(outlines[0], blocked.shape[1]):
             (along,) = _clip_to_layers(outlines[..., piece], row)
             first, count = _layer_range(along, blocked.shape[2])
-            num_rows, num_met = num_rows + len(row), num_met + int(count.sum())
+            num_rows += len(row)
+            num_met += int(count.sum())
             if num_rows > _MOST_ROWS or num_met > _MOST_MET:
                 raise ValueError("the triangles meet too many voxels in all: give a larger pitch.")
             run, place = ragged_indices(count)
@@ -181,15 +191,22 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]]:
-    # Batches of pairs: the indices of a polygon and of a layer of voxels that it reaches along one axis.
+    """Yield all pairs of a polygon and a layer of voxels that it reaches, in batches of indices.
+
+    ``ends`` are coordinates along the axis of the layers, of which there are ``size``.
+    """
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
-        piece, place = ragged_indices(count[part])
-        yield piece + part.start, first[part][piece] + place
+        polygon, place = ragged_indices(count[part])
+        yield polygon + part.start, first[part][polygon] + place
 
 
 def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
+    """Return the first layer that each polygon reaches, and how many it reaches, of layers 0 to ``size - 1``."""
+    # Layer k spans k to k + 1: a polygon from `lowest` to `highest` touches it if k + 1 >= lowest - _TOUCHES and
+    # k <= highest + _TOUCHES. Edges that were clipped away are NaN, which `fmin` and `fmax` ignore.
+    lowest = np.fmin.reduce(ends, axis=(0, 1))
+    highest = np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
     last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
     return first, np.maximum(last - first + 1, 0)
@@ -197,18 +214,24 @@ def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.nd
 
 def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
     """Clip edges to a layer of voxels along the first axis, and drop this axis; NaN if nothing of an edge is left."""
+    # The point begin + t * (end - begin) of an edge lies in the layer for t between `enters` and `leaves`, in either
+    # order. An edge parallel to the layer lies in it as a whole or not at all: t is NaN, which `fmax` and `fmin`
+    # replace by 0 and 1.
     begin, end = edges[0]
-    change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES
-    change[change == 0] = np.nan  # an edge parallel to the layer lies in it as a whole or not at all
+    floor, ceiling = layer - _TOUCHES, layer + 1 + _TOUCHES
+    change = end - begin
+    change[change == 0] = np.nan
     enters, leaves = (floor - begin) / change, (ceiling - begin) / change
-    fractions = np.fmax(np.fmin(enters, leaves), 0.0), np.fmin(np.fmax(enters, leaves), 1.0)
+    clipped_range = np.fmax(np.fmin(enters, leaves), 0.0), np.fmin(np.fmax(enters, leaves), 1.0)
     is_outside = (np.maximum(begin, end) < floor) | (np.minimum(begin, end) > ceiling)
-    ends = [edges[1:, 0] + np.where(is_outside, np.nan, t) * (edges[1:, 1] - edges[1:, 0]) for t in fractions]
+    ends = [edges[1:, 0] + np.where(is_outside, np.nan, t) * (edges[1:, 1] - edges[1:, 0]) for t in clipped_range]
     return np.stack(ends, axis=1)
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return the outlines of clipped triangles: the clipped edges, and segments that join ends of these edges."""
-    return np.concatenate(
-        [edges, *(np.stack([ends, np.roll(ends, -1, axis=1)], axis=1) for ends in (edges[:, 0], edges[:, 1]))], axis=2
-    )
+    """Return nine segments per clipped triangle: its three edges, and those that join their begins and their ends."""
+    #     ends   o------o   ceiling    Each of the three edges is joined to the next, so all pairs are joined. The
+    #           /        \             segments are the outline of the piece, or lie inside it, since it is convex.
+    #   begins o----------o floor      A segment from an edge that was clipped away is NaN.
+    joins = [np.stack([ends, np.roll(ends, -1, axis=1)], axis=1) for ends in (edges[:, 0], edges[:, 1])]
+    return np.concatenate([edges, *joins], axis=2)

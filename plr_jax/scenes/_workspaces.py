@@ -15,7 +15,14 @@ from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons, rea
 from plr_jax.scenes._movingai import read_map
 from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, read_image, read_map_server
 
-_ENDINGS = (".map", ".json", ".geojson", ".wkt", *YAML_ENDINGS, *PICTURE_ENDINGS)
+_READERS: dict[str, Callable[..., Workspace]] = {
+    ".map": read_map,
+    ".json": read_polygons,  # or another reader, chosen by the content
+    ".geojson": read_geojson,
+    ".wkt": read_wkt,
+    **dict.fromkeys(YAML_ENDINGS, read_map_server),
+    **dict.fromkeys(PICTURE_ENDINGS, read_image),
+}
 
 
 def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) -> Workspace:
@@ -32,28 +39,17 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
     reader = _reader_of(path) if isinstance(path, Path) else Workspace.from_polygons
     accepted = list(inspect.signature(reader).parameters)[1:]
     if unknown := ", ".join(name for name in options if name not in accepted):
-        raise ValueError(
-            f"{path}: expected options of this kind of file ({', '.join(accepted) or 'none'}), got {unknown}."
-        )
+        known = ", ".join(accepted) or "none"
+        raise ValueError(f"{path}: expected options of this kind of file ({known}), got {unknown}.")
     return reader(path, **options)
 
 
 def _reader_of(path: Path) -> Callable[..., Workspace]:
     """Return the function that reads a file, chosen by the ending, and for ``.json`` by the content."""
-    match path.suffix.lower():
-        case ".map":
-            return read_map
-        case ".geojson":
-            return read_geojson
-        case ".wkt":
-            return read_wkt
-        case ".json":
-            if is_scene(path):
-                return lambda path: load(path).workspace
-            with errors_named(path):
-                return read_geojson if is_geojson(json_of(path)) else read_polygons
-        case ending if ending in YAML_ENDINGS:
-            return read_map_server
-        case ending if ending in PICTURE_ENDINGS:
-            return read_image
-    raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_ENDINGS)}.")
+    ending = path.suffix.lower()
+    if ending not in _READERS:
+        raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_READERS)}.")
+    if ending == ".json" and is_scene(path):
+        return lambda path: load(path).workspace
+    with errors_named(path):
+        return read_geojson if ending == ".json" and is_geojson(json_of(path)) else _READERS[ending]

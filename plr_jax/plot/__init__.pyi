@@ -1,0 +1,14 @@
+from ._animation import Animation as Animation
+from ._animation import animate as animate
+from ._axes import save as save
+from ._page import Page as Page
+from ._page import page as page
+from ._paths import plot_path as plot_path
+from ._paths import plot_problem as plot_problem
+from ._paths import plot_samples as plot_samples
+from ._plane import plot_cells as plot_cells
+from ._plane import plot_contours as plot_contours
+from ._plane import plot_error as plot_error
+from ._plane import plot_surface as plot_surface
+from ._plane import plot_workspace as plot_workspace
+from ._slices import slices as slices
