@@ -126,8 +126,7 @@ def first_visible_ragged(
     """Return, for each point, the index of the shortest visible path in ``lengths`` (-1: none), and its length.
 
     ``lengths``, modified in place, has ``counts[0]`` path lengths of the first point, one for each candidate for the
-    path's first vertex; then ``counts[1]`` of the next point, and so on. ``sees(i, k)`` tells whether point ``i``
-    sees the candidate of ``lengths[k]``.
+    path's first vertex; then ``counts[1]`` of the next point, and so on.
     """
     visible_pair, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)
