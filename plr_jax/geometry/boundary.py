@@ -97,8 +97,7 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     a vertex is within ``tolerance`` of an edge but not on it. Vertices of ``old``, such as the boundary before a
     local change, are not tested against edges of ``old``.
     """
-    # 1. Number the distinct points of all rings, ordered by x, then y, and join consecutive points of a ring by
-    #    edges.
+    # 1. Number the distinct points of all rings, ordered by x, then y. Edges join consecutive ones of a ring.
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     numbers, index = np.unique(points @ [1, 1j], return_inverse=True)
@@ -119,9 +118,8 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     along, offset = end - start, vertices[vertex] - start
     is_beside = np.abs(cross_product(along, offset)) > tolerance / 4 * np.linalg.norm(along, axis=1)
     is_beyond = ((offset * along).sum(axis=1) <= 0) | (((offset - along) * along).sum(axis=1) >= 0)
-    # 4. Cut edges at the vertices on them. The pieces of edge `owner` start at its start and at these vertices, in
-    #    the order of their distance from the start. Each ends where the next one starts, the last one at the edge's
-    #    end.
+    # 4. Cut edges at the vertices on them. The pieces of edge `owner` start at its start and at these vertices,
+    #    sorted by distance. Each piece ends where the next one starts, the last one at the edge's end.
     owner, first = np.append(np.arange(len(edges)), edge), np.append(edges[:, 0], vertex)
     order = np.lexsort((np.append(np.zeros(len(edges)), np.linalg.norm(offset, axis=1)), owner))
     owner, first = owner[order], first[order]
@@ -203,8 +201,7 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
     needed = np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
     least = np.maximum(1, outside * turn / _LARGEST_TURN)
     num_chords = np.ceil(np.maximum(least, np.minimum(most, needed)) - 1e-9).astype(int)
-    # 3. Unite strips and sectors, some at a time. Edges of one ring are consecutive, so most neighbors are united
-    #    early.
+    # 3. Unite strips and sectors, some at a time. Edges of a ring are consecutive: most neighbors are united early.
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     is_reflex = boundary.is_reflex()
     regions = []
@@ -430,8 +427,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
     grid = grid_of(bounds)
     with np.errstate(divide="ignore", invalid="ignore"):  # GEOS divides by coordinates near 0, such as 1e-163
         region = _simplify(rounded(free, grid), 4 * grid)
-    # 2. If walls or gaps are thinner than edges can be split reliably, snap to coarser and coarser grids, at most
-    #    four.
+    # 2. If walls or gaps are thinner than edges can be split reliably, snap to coarser and coarser grids (four).
     coarser = 32 * grid
     while (boundary := ring_boundary(region, 8 * grid)) is None:
         if coarser > 256 * grid:

@@ -120,6 +120,7 @@ class Box:
         moved = x.reshape(-1, self.dim).copy()
         steps = np.spacing(np.maximum(np.abs(single), np.float32(reach))).reshape(-1, self.dim)
         pending = np.flatnonzero(np.isfinite(moved).all(axis=1))
+        # Try the point itself, then points with one coordinate moved by a step, then two, ..., until one is free.
         for signs in sorted(product((0, 1, -1), repeat=self.dim), key=np.count_nonzero):
             if not len(pending):
                 break
@@ -152,6 +153,7 @@ class Box:
                 wrapped = x.copy() if wrapped is x else wrapped
                 outside = np.isfinite(column) & ((column < lo) | (column >= hi))
                 column, period = column[outside], hi - lo
+                # `above` is the distance above ``lo``, modulo the period; the remainder by `fmod` is exact.
                 above = np.mod(np.fmod(column, period) - lo, period)
                 rounding = 2 * np.spacing(np.maximum(np.abs(column), max(abs(lo), abs(hi))))
                 is_at_seam = (np.minimum(above, period - above) <= rounding) | (lo + above >= hi)
@@ -163,6 +165,7 @@ class Box:
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
+        # The number of whole periods in the difference, rounded.
         turns = np.rint(_TIE * (x - reference) / self.width)
         return x - self.width * np.where(self.periodic, turns, 0.0)
 

@@ -202,8 +202,7 @@ def cells_of_goals(
     key, index = np.unique(rows[piece] * num_views + sight.view[source], return_inverse=True)
     row, view = np.divmod(key, num_views)
     seen, is_whole = (flags[index] for flags in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
-    # 4. Keep pairs unless the source sees nothing of the piece, and drop the sources through which no path is
-    #    shorter.
+    # 4. Keep pairs unless the source sees nothing of the piece. Drop sources through which no path is shorter.
     keep = seen | ~is_whole
     pairs = piece[keep], source[keep], (seen & is_whole)[keep]
     of_pieces = pieces, shared.triangle[rows], shared.center[rows], np.full(len(cell), np.inf), 0 * cell

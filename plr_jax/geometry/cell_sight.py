@@ -219,8 +219,7 @@ class CellSources:
         # 1. Cut triangles into the pieces of cells.
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = convex_pieces.clip_to_boxes(triangles, lo, hi)
-        # 2. Give each piece the possible sources of its triangle, and drop those that it does not need, chunk by
-        #    chunk.
+        # 2. Give each piece the possible sources of its triangle, and drop those that it does not need.
         first, source = lists
         chunks = []
         for chunk in parts(np.diff(first)[triangle], _CHUNK):

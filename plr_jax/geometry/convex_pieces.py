@@ -39,13 +39,13 @@ def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
     row, column = np.nonzero(is_kept)
     count = is_kept.sum(axis=1)
     place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    source = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
+    kept_or_last = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
     result = np.empty((2, len(height), ROOM))
     for along, clipped in zip(pieces, result, strict=True):
         met = along + fraction * (next_corner(along) - along)
         points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
         clipped[row, place] = points[row, column]
-        clipped[:] = np.take_along_axis(clipped, source, axis=1)
+        clipped[:] = np.take_along_axis(clipped, kept_or_last, axis=1)
     return result
 
 

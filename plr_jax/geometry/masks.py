@@ -62,8 +62,7 @@ def pixel_rings(free: Mask) -> PixelRings:
     x, y = np.repeat(x, repeats), np.repeat(y, repeats)
     # 3. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs. In column order, corners 0 and
     #    1, 2 and 3, ... are the ends of vertical runs. So the run of corner i ends at i ^ 1. A ring turns around its
-    #    free pixel: at a contact, the horizontal run from the left goes down if the pixel on its lower left is free,
-    #    else up.
+    #    free pixel: at a contact, it goes from the left run down if the pixel on the lower left is free, else up.
     other_end = np.arange(len(x)) ^ 1
     goes_down = padded[y, x]
     columns = np.lexsort((is_second == goes_down, y, x))
@@ -128,8 +127,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
     """Return the stations of outlines, and whether two outlines, or one twice, meet at each of them."""
     # A ring r of k corners has 2 k + 1 stations before middles are dropped. If its first corner is number n of all
-    # rings' corners, its corners are the stations of_corner = 2 n + r, 2 n + r + 2, ..., and the last repeats the
-    # first:
+    # rings' corners, its corners are the stations of_corner = 2 n + r, 2 n + r + 2, ... The last repeats the first:
     #
     #      corner   middle of its run   corner   middle   ...   corner   middle   first corner again
     #      first                                                                  last
@@ -349,8 +347,7 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
     """Split rings where they touch themselves; return Shapely rings, and for each the index of its original."""
-    # 1. Number the loop of each point. The first loop of a ring has the ring's number; its other loops get new
-    #    numbers.
+    # 1. Number the loop of each point. The first loop of a ring has the ring's number, the others get new ones.
     num_loops = len(rings.start) - 1
     ring = np.repeat(np.arange(num_loops), np.diff(rings.start))
     loop, order = ring.copy(), np.arange(len(rings.points))

@@ -52,6 +52,7 @@ class Reach:
 
     def cut_off_fraction(self, dim: int) -> float:
         """Return roughly which share of free space is cut off."""
+        # Count the boxes of a lattice that hold reached points, and those that hold cut-off points.
         num = round(_NUM_BOXES ** (1 / dim))
         lo = np.array(list(product(range(num), repeat=dim))) / num
         reached = np.count_nonzero(self.reached(lo, lo + 1 / num))

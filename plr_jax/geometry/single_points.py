@@ -16,8 +16,7 @@ from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable
 
 FEW = 32  # largest batch that is answered point by point: on the maze and den520d, then half as long as a batch
-# In tolerances: if a segment passes all vertices of its triangles at a larger distance, rounding cannot change what
-# it crosses.
+# In tolerances: if a segment is farther from all vertices of its triangles, rounding cannot change what it crosses.
 _NEAR = 4
 
 
@@ -91,8 +90,7 @@ class PointLocator:
         if start.triangle == end.triangle:
             return True
         # Let d be the segment's vector. The cross product of d and a corner's offset from the start is positive on
-        # the left of the segment. Its size is |d|, at most |dx| + |dy|, times the corner's distance from the
-        # segment's line.
+        # the left of the segment, with the size |d| <= |dx| + |dy| times the corner's distance from the line.
         corners, x, y, dx, dy = self._corners, start.x, start.y, end.x - start.x, end.y - start.y
         near = _NEAR * self._tolerance * (abs(dx) + abs(dy))
         # 1. The segment leaves a triangle through the half-edge that starts on its right and ends on its left.
@@ -101,9 +99,8 @@ class PointLocator:
         if min(map(abs, sides)) <= near:
             return None
         half_edge += next(i for i in range(3) if sides[i] < 0 < sides[i - 2])  # corner i - 2 is the next one, i + 1
-        # 2. Walk from triangle to triangle, until the half-edge is a wall. The corner ahead is opposite to the entry.
-        #    If it is on the left, the segment leaves through the half-edge before the corner, else through the one
-        #    after.
+        # 2. Walk from triangle to triangle, until the half-edge is a wall. If the corner ahead, opposite to the
+        #    entry, is on the left, the segment leaves through the half-edge before the corner, else the one after.
         while (entry := self._twin[half_edge]) >= 0:
             triangle, i = divmod(entry, 3)
             if triangle == end.triangle:

@@ -253,8 +253,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
     is_clockwise = cross_product(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[is_clockwise] = corners[is_clockwise, ::-1]
-    # 3. Find the indices of the triangles' vertices by their coordinates, as complex numbers: these are ordered by x,
-    #    then y.
+    # 3. Find the indices of the triangles' vertices by coordinates: complex numbers are ordered by x, then y.
     keys = vertices @ [1, 1j]
     order = np.argsort(keys)
     triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
@@ -321,10 +320,9 @@ class _Mesh:
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
         """Fill the polygon ``start``, ``end``, ``*chain``, counterclockwise, with Delaunay triangles."""
-        #            apex             The Delaunay triangle of the edge has the apex whose circle through start and
-        #            end
-        #     chain  /  \  chain      contains no other vertex of the chain. It leaves two smaller polygons, each with
-        #    after  /    \  before    an edge of the triangle and a part of the chain.
+        #            apex             The apex of the edge's Delaunay triangle is the vertex of the chain whose circle
+        #     chain  /  \  chain      through start and end contains no other one. The triangle leaves two smaller
+        #    after  /    \  before    polygons, each with one of its edges and a part of the chain.
         #       start -- end
         pending = [(start, end, chain)]
         while pending:
@@ -334,8 +332,7 @@ class _Mesh:
             best = 0
             for i in range(1, len(chain)):
                 # In-circle test: does the vertex lie inside the circle through start, end and the best one so far?
-                # For points a, b, c relative to the vertex, the determinant of the rows (x, y, x^2 + y^2) is
-                # positive.
+                # It does if the determinant of the rows (x, y, x^2 + y^2) of these points, relative to it, is > 0.
                 x0, y0 = self.points[chain[i]]
                 rows = [(x - x0, y - y0) for x, y in (self.points[vertex] for vertex in (start, end, chain[best]))]
                 (ax, ay), (bx, by), (cx, cy) = rows

@@ -185,9 +185,9 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     # 3. Viewpoints at vertices look through the opposite sides of all triangles of their sectors. Turn around the
     #    vertex, triangle by triangle, from the wall that opens the sector to the wall that closes it:
     #
-    #            /\  opposite side       The triangle on the left of half-edge h, which starts at vertex v, has the
-    #     next  /  \                     opposite side next_half_edge(h). The next half-edge from v, counterclockwise,
-    #          v----                     is the twin of previous_half_edge(h); there is none if that is a wall.
+    #            .                      The triangle on the left of half-edge h, which starts at vertex v, has the
+    #     next  / \  opposite side       opposite side next_half_edge(h). The next half-edge from v, counterclockwise,
+    #          v---.                     is the twin of previous_half_edge(h); there is none if that is a wall.
     #            h
     view, half_edge = view[at_vertex], half_edge[at_vertex]
     while len(view):
@@ -333,8 +333,7 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
     vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
     order = np.argsort(key)
     # 4. Sort directions that are equal up to rounding exactly, by swaps of neighbors in the wrong order: row k of
-    #    `order` and row k + 1, for each k in `near`. Swaps of one round must not overlap; they may make neighbors
-    #    wrong.
+    #    `order` and row k + 1, for each k in `near`. Swaps of one round must not overlap. Test neighbors again.
     is_close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(index))
     near = np.flatnonzero(is_close)
     while len(near):

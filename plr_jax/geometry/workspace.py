@@ -296,15 +296,13 @@ class Workspace:
         if len(a) != len(b):
             raise ValueError(f"Segments must have as many starts as ends, got {len(a)} and {len(b)}.")
         tolerance = self.tolerance if tolerance is None else as_finite("tolerance", tolerance)
-        # 1. Both ends of a visible segment are within the tolerance of free space, and the segment is within twice
-        #    it.
+        # 1. Both ends of a visible segment are within the tolerance of free space, and the segment within twice it.
         free = self._grown(tolerance)
         visible = shapely.intersects_xy(free, *a.T) & shapely.intersects_xy(free, *b.T)
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
-        # 2. Grown free space lacks thin walls and opens contacts: doubt segments that leave free space, or pass
-        #    contacts.
+        # 2. Grown free space lacks thin walls and opens contacts: doubt segments that leave it or pass contacts.
         stays = visible[moving]
         moving, segments = moving[stays], segments[stays]
         free_space = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))

@@ -1,6 +1,5 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
-from itertools import product
 
 import numpy as np
 import pytest
@@ -128,7 +127,8 @@ def test_gap_closed_by_rounding_is_no_obstacle():
     assert Workspace(workspace.bounds, workspace.obstacles).free_space.equals(workspace.free_space)
 
 
-@pytest.mark.parametrize(("seed", "outside"), [*product(SEEDS, (False, True))])
+@pytest.mark.parametrize("outside", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_inflated_free_space_is_bounded_by_clearance(seed, outside):
     radius, workspace = 0.05 + 0.2 * (seed % 6), general_workspace(np.random.default_rng(seed))
     inflated = workspace.inflate(radius, outside)
