@@ -128,14 +128,9 @@ def first_visible_ragged(
 ) -> FirstVisible:
     """Return, for each point, the index of the shortest visible path in ``lengths`` (-1: none), and its length.
 
-<<<<<<< .merge_file_HKH5NF
     ``lengths`` has ``counts[0]`` path lengths of the first point, one for each candidate for the path's first vertex;
     then ``counts[1]`` of the next point, and so on. The array must have no NaN, and is modified in place. The second
     argument of ``sees`` has indices in ``lengths``.
-=======
-    ``lengths``, modified in place, has ``counts[0]`` path lengths of the first point, one for each candidate for the
-    path's first vertex; then ``counts[1]`` of the next point, and so on.
->>>>>>> .merge_file_lK3tX4
     """
     visible_pair, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     # `lengths` and `pair` have ``counts[i]`` paths of point ``pending[i]``. The length of a tested path is inf.
