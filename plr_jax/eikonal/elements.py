@@ -52,7 +52,7 @@ class FunctionSpace:
         """
         # 1. The values at the nodes of open cells, and the widths of these cells.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
-        values = csr_array(self.values[_rows_of_cells(mesh.open_cells, size)])
+        values = csr_array(self.values[_nodes_of_cells(mesh.open_cells, size)])
         width = mesh.widths[mesh.open_cells] * scale
         # 2. Along the axis of the derivative, for degree n and the Bernstein coefficients c_0 to c_n of the function:
         #      d_i = n * (c_(i+1) - c_i)                      coefficients of the derivative, of degree n - 1
@@ -81,7 +81,7 @@ class FunctionSpace:
         cells = self.mesh.open_cells
         quadrature = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * self.mesh.dim).ravel()
         weights = self.mesh.volumes[cells, None] * quadrature
-        return np.asarray(self.values[_rows_of_cells(cells, len(quadrature))].T @ weights.ravel())
+        return np.asarray(self.values[_nodes_of_cells(cells, len(quadrature))].T @ weights.ravel())
 
 
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
@@ -149,7 +149,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     tied = coo_array((np.ones(same.shape[1], bool), tuple(same)), (num_nodes, num_nodes))
     num_groups, group = connected_components(tied, directed=False)
     of_hanging, first = np.unique(group[hanging], return_index=True)
-    entries = np.repeat(of_hanging, size), group[_rows_of_cells(on_cell[first], size)]
+    entries = np.repeat(of_hanging, size), group[_nodes_of_cells(on_cell[first], size)]
     is_free = np.ones(num_groups)
     is_free[of_hanging] = 0
     sums = csr_array((basis(degree, at[first]).ravel(), entries), (num_groups, num_groups))
@@ -169,7 +169,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         rows = csr_array(change @ of_group @ resolved)
         resolved = csr_array(resolved @ eliminate_constraints(rows, depth, _MOST_WEIGHTS_OF_NODE * num_groups))
     # 4. The degrees of freedom are the free groups that have a node in an open cell.
-    of_open = _rows_of_cells(mesh.open_cells, size)
+    of_open = _nodes_of_cells(mesh.open_cells, size)
     node_of = np.full(num_groups, -1)
     node_of[group[of_open]] = of_open
     dofs = np.flatnonzero((node_of >= 0) & (resolved.diagonal() == 1))
@@ -178,7 +178,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     return FunctionSpace(mesh, degree, lattice, csr_array(resolved[group][:, dofs]), points, node_of)
 
 
-def _rows_of_cells(cells: Int[np.ndarray, " n"], size: int) -> Int[np.ndarray, " nodes"]:
+def _nodes_of_cells(cells: Int[np.ndarray, " n"], size: int) -> Int[np.ndarray, " nodes"]:
     # The nodes of cells, numbered `cell * size + node of the cell`.
     return (cells[:, None] * size + np.arange(size)).ravel()
 
@@ -187,4 +187,4 @@ def _interpolation(degree: int, cell: Int[np.ndarray, " n"], t: Float[np.ndarray
     # The matrix from values at all nodes (as many as `nodes`) to values at the points `t` of cells.
     weight = basis(degree, t)
     num, size = weight.shape
-    return csr_array((weight.ravel(), (np.repeat(np.arange(num), size), _rows_of_cells(cell, size))), (num, nodes))
+    return csr_array((weight.ravel(), (np.repeat(np.arange(num), size), _nodes_of_cells(cell, size))), (num, nodes))
