@@ -153,7 +153,7 @@ class VisibilityGraph:
 
     @cached_property
     def sight(self) -> Sight:
-        """What the ``sources`` see, to test which of them are sources of a convex piece of free space."""
+        """The ``sources``, and data to test to which of them paths from a convex piece of free space may go first."""
         table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 

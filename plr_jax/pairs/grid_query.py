@@ -197,7 +197,7 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
     arrays = map(jnp.asarray, (group_block.astype(np.int32), _narrow(cell_block), blocks, row, column))
-    tables = GridTables(sight_of(free, connectivity), *arrays, corner_distances(free, connectivity))
+    tables = GridTables(sight_of(free, connectivity), *arrays, distances=corner_distances(free, connectivity))
     # Queries also read empty tables, and ignore the value: give empty tables one entry.
     return jax.tree_util.tree_map(
         lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
@@ -238,10 +238,11 @@ def evaluate_few(
     #    Combination `number` has block `number // other_count` of the first cell, `number % other_count` of the
     #    second.
     (first, count), (other_first, other_count) = (_blocks_of(tables, cells[hidden]) for cells in (p, q))
-    if (count * other_count).sum() > _MOST_FEW:
+    combinations: Any = count * other_count
+    if combinations.sum() > _MOST_FEW:
         return None
     lengths[hidden] = FAR
-    pair, number = ragged_indices(count * other_count)
+    pair, number = ragged_indices(combinations)
     block, other_block = first[pair] + number // other_count[pair], other_first[pair] + number % other_count[pair]
     corners, others = (looked_up(tables.blocks, index).astype(np.int32) for index in (block, other_block))
     legs, other_legs = _legs(tables, p[hidden[pair]], corners), _legs(tables, q[hidden[pair]], others)
