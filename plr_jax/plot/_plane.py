@@ -1,7 +1,7 @@
 """Pictures of functions in the plane and of slices: surfaces, contours, cells and errors; and of workspaces."""
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
@@ -168,12 +168,13 @@ def plot_contours(
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
     is_free = free_points(points, shown, workspace, space)
     # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
+    goals: Any = None
     cut_off = []
     if goal is not None:
-        goals = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
-        goal = plr.domain.wrapped(np.reshape(goals, (-1, plr.domain.dim)))[:, list(shown.axes)]
+        given = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
+        goals = plr.domain.wrapped(np.reshape(given, (-1, plr.domain.dim)))[:, list(shown.axes)]
         if workspace is not None:
-            reached, cut_off = _split_by_reachability(workspace, goal)
+            reached, cut_off = _split_by_reachability(workspace, goals)
             if cut_off:
                 is_free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
     # 3. Draw. Values inside obstacles are drawn and then covered, so that colors reach the walls; they do not affect
@@ -186,8 +187,8 @@ def plot_contours(
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
-    if goal is not None:
-        mark_goals(ax, goal)
+    if goals is not None:
+        mark_goals(ax, goals)
     add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 

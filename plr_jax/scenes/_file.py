@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from plr_jax._arrays import as_points, shortened
+from plr_jax._arrays import as_finite, as_points, shortened
 from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
@@ -73,6 +73,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
             raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')
         robots = [_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = scene.get("rotation_weight") if scene["version"] > 1 else None
+        weight = None if weight is None else as_finite("rotation_weight", weight)
         return Problem(_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 
