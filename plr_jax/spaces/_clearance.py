@@ -149,7 +149,8 @@ class ClearanceSpace:
         begin, width = np.zeros(len(q0)), 1.0
         for bisections in range(_MOST_BISECTIONS + 1):
             is_unsure = free[motion] & (before + after - width * reach[motion] < 2 * rounding[motion])
-            motion, begin, before, after = (row[is_unsure] for row in (motion, begin, before, after))
+            motion, begin = motion[is_unsure], begin[is_unsure]
+            before, after = before[is_unsure], after[is_unsure]
             if not len(motion) or bisections == _MOST_BISECTIONS:
                 break
             width /= 2
