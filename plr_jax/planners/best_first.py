@@ -208,9 +208,10 @@ class BestFirstSearch:
                 # 5. Store the successors of each node.
                 last = np.cumsum(num_kept)
                 for i, node in enumerate(part):
-                    columns = [column[last[i] - num_kept[i] : last[i]] for column in (score, cost, state)]
-                    num_bytes = sum(column.nbytes for column in columns)
-                    self.successors[node] = SuccessorList(*columns, width, bool(is_complete[i]), num_bytes)
+                    best = slice(last[i] - num_kept[i], last[i])
+                    s, c, q = score[best], cost[best], state[best]
+                    num_bytes = s.nbytes + c.nbytes + q.nbytes
+                    self.successors[node] = SuccessorList(s, c, q, width, bool(is_complete[i]), num_bytes)
                     self.memory_use.add(num_bytes)
                 self.num_expansions += len(part)
                 self.budget.num_expansions += len(part)
