@@ -310,8 +310,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         of_members: Any = ([row[i] for i in members] for row in (plrs, tables, frames))
         groups.append(_SameShapeGroup.of(*of_members))
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
-    parts = jax.device_put(in_parts(np.array(corners))) if np.any(corners) else None
-    return PLRStack(tuple(groups), *jax.device_put((group, place)), parts, dim=plrs[0].dim, unresolved=unresolved)
+    parts = in_parts(np.array(corners)) if np.any(corners) else None
+    return PLRStack(tuple(groups), *jax.device_put((group, place, parts)), dim=plrs[0].dim, unresolved=unresolved)
 
 
 @partial(jax.jit, static_argnums=3)

@@ -323,7 +323,7 @@ class Tables:
         domain = folding.domain.moved(-origin)
         *arrays, mirrors = folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())
-        window = FoldedDomain(*map(jax.device_put, (frame_of(domain), *arrays)), mirrors, periodic)
+        window = FoldedDomain(*map(jax.device_put, (frame_of(domain), *arrays)), mirrors=mirrors, periodic=periodic)
         return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 
