@@ -76,9 +76,8 @@ class RigidBodySpace(BodySpace):
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         # 1. A body far from all walls is free. This test is fast.
-        has_room = motion_test(self.workspace, self.robot).has_room(
-            center[:, 0], center[:, 1], _motion_bounds(half, 0.0)
-        )
+        test = motion_test(self.workspace, self.robot)
+        has_room = test.has_room(center[:, 0], center[:, 1], _motion_bounds(half, 0.0))
         state[has_room] = CellState.FREE
         # 2. Enclose what the body covers in the other boxes, batch by batch.
         unsure = np.flatnonzero(~has_room)
