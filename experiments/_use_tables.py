@@ -59,7 +59,7 @@ def table2(results: dict[str, Any]) -> str:
         f"{results['starts_under_heuristics']} for BL with PLRs, {results['starts_few']} for RRT* and BL "
         f"without. Limits: {results['seconds_none']:g} s for BL without PLRs, "
         f"{results['seconds_rrt_star']:g} s for RRT*. Calls of Python are {min(shares):.0%} to {max(shares):.0%} of "
-        f"RRT*'s time. Each PLR has {results['plr_bytes']:,} bytes.\n"
+        f"RRT*'s time. Each PLR has at most {results['plr_bytes']:,} bytes.\n"
     )
 
 
@@ -115,7 +115,7 @@ def sba_star(results: dict[str, Any]) -> str:
     )
     return table + (
         f"\nMedians (largest) over {results['seeds']} seeds, to the first path or {results['max_vertices']:,} "
-        f"vertices. Each PLR has {results['plr_bytes']:,} bytes.\n"
+        f"vertices. Each PLR has at most {results['plr_bytes']:,} bytes.\n"
     )
 
 
@@ -219,19 +219,18 @@ def modules(results: dict[str, Any]) -> str:
 def pages(results: dict[str, Any]) -> str:
     """Pages in Chromium: size, speed, and what damaged files and a check of accessibility come to."""
     rows, hostile = results["pages"]["rows"], results["hostile"]
-    slowest = hostile["most_seconds"]
+    found = ("-" if row["violations"] is None else len(row["violations"]) for row in rows)
     table = formatted(
-        (row | {"millions": row["queries_a_second"] / 1e6, "found": len(row["violations"] or [])} for row in rows),
+        (row | {"millions": row["queries_a_second"] / 1e6, "found": n} for row, n in zip(rows, found, strict=True)),
         *(("page", "{what}"), ("bytes", "{bytes:,}"), ("addresses asked for", "{requests}")),
         *(("million queries / s", "{millions:.3g}"), ("ms to draw 500 x 500", "{redraw_milliseconds:.0f}")),
-        ("violations of axe-core", "{found}"),
+        ("violations of axe-core (-: not measured)", "{found}"),
     )
     return table + (
         "\nCPU time of the page's thread in Chromium; pages of pairs are drawn again for another goal. "
         f"Of {hostile['files']:,} damaged files that were dropped on a page, {hostile['refused']:,} were "
-        "refused with "
-        f"a message, {hostile['shown']:,} were drawn, and {hostile['failed']} did neither; the slowest took "
-        f"{slowest:.2f} s.\n"
+        f"refused with a message, {hostile['shown']:,} were drawn, and {hostile['failed']} did neither; the slowest "
+        f"took {hostile['most_seconds']:.2f} s.\n"
     )
 
 

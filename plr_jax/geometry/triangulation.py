@@ -40,7 +40,7 @@ class Locator:
     lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return each point's triangle, or a nearby one (-1: none), and its signed distance to the nearest side.
+        """Return each point's triangle, or a nearby one (-1: none), and its least signed distance to a side's line.
 
         The distance is negative outside of the triangle. It may have a wrong sign by rounding.
         """

@@ -1,8 +1,8 @@
 r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
 
 The file format defines the arithmetic of a query. So all these readers give the same answers, bit for bit, as
-`plr.numpy()`, and as `plr(x)` on a CPU. NumPy takes batches of points; C and JavaScript take single points. There are
-no bounds in C.
+`plr.numpy()`, and as `plr(x)` on a CPU in 32 bits (except for numbers below 1e-38). NumPy takes batches of points; C
+and JavaScript take single points. There are no bounds in C.
 
 ```python
 from pathlib import Path

@@ -59,7 +59,7 @@ print(error.mean(), error.max())
 ```
 
 `plr_jax.descend` follows the PLR to a source, among the same cells as a `plr_jax.RasterCost`. Its paths are
-approximate, and some cost clearly more than the distance.
+approximate: compare `walk.costs` with the distance.
 
 ```python
 raster = plr_jax.RasterCost(minutes_a_meter, ((0, 0), (80 * 30, 60 * 30)), "nearest")

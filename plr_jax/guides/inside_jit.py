@@ -67,9 +67,10 @@ print(between(jnp.array([1.5, 1.5]), jnp.array([[1.5, 1.5], [1.5, 9.5]])))
 # How many corners
 
 Any-angle paths bend at corners of blocked cells. Time and memory grow with the square of `max_corners`, the largest
-number of corners of a map. The default allows all corners of up to 17 x 17 cells, and half of the corners of larger
-grids. With a smaller number, mazes become several times faster. If a map has more corners, its distances are NaN and
-`field.is_complete` is false. So double a small number until a sample of your maps is complete:
+number of corners of a map; without a goal, time grows with the cube. The default allows all corners of up to 17 x 17
+cells, and half of the corners of larger grids. With a smaller number, mazes become several times faster. If a map has
+more corners, its distances are NaN and `field.is_complete` is false. So double a small number until a sample of your
+maps is complete:
 
 ```python
 maps = jax.random.bernoulli(jax.random.key(1), 0.9, (1000, 11, 11))

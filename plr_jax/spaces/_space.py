@@ -125,8 +125,8 @@ class ConfigurationSpace(FreeTest, Protocol):
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions between configurations ``(n, dof)`` are proven free all the way.
 
-        All axes change in proportion. Periodic axes take the short way; exactly half a period goes upward. The result
-        is False where an end is not finite.
+        All axes change in proportion. Periodic axes take the short way; at exactly half a period, the space chooses
+        one of both ways. The result is False where an end is not finite.
         """
         ...
 
