@@ -33,8 +33,8 @@ class CostDistance:
         nearest: Index of the nearest source, or of one at most about 1 % farther; -1, which is the no-data value of
             a ``DataArray``, where none can be reached.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
-            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the distance apart, and up to
-            100 % near sources and beside much cheaper cells.
+            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the distance apart. They may
+            be up to 100 % apart near sources, and if costs of neighbors differ by a factor of 100 or more.
         plr: A PLR of the distance, without bounds and with finite values in barriers; None if not asked for. It
             answers ``inf`` where no source can be reached, except near cells that reach one.
     """
@@ -88,9 +88,9 @@ def cost_distance(
         result.distance, result.nearest, result.path((500, 100))
 
     Distances are costs of paths, on average about 0.1 % above the least; the largest excess in our experiments is
-    2.2 % of the mean distance. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells
-    a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs
-    change slowly, 0.5 to 7 % where they jump.
+    2.2 % of the mean distance. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells,
+    without bounds and heights, a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to
+    0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -113,7 +113,7 @@ def cost_distance(
         ValueError: If costs or heights are not such a raster, lengths or costs are too large or too small
             for 64-bit numbers (the message states limits), a source is outside of it or in a barrier, there is no
             source, an option is out of its range, or ``bounds`` comes with heights or more than 4 million cells.
-            Over more than 2 million cells, if costs differ by more than a factor of 100,000.
+            If a front marches and costs differ by more than a factor of 100,000.
     """
     # 1. The raster with the lowest coordinates first, and the sources in it.
     cost, box, order = _raster(costs, cell_size)

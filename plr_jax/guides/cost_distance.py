@@ -20,13 +20,15 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 `distance` is `inf` and `nearest` is -1.
 
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
-- Rasters of up to 2 million cells take kilobytes of memory a cell. Larger rasters take 100 bytes a cell, and have
-  the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
+- Rasters of up to 2 million cells, or 4 million with `bounds=True` or with heights, take kilobytes of memory a cell.
+  Larger rasters, without both, take 100 bytes a cell, and have the errors of scikit-fmm: 0.1 to 0.3 % on average
+  where costs change slowly, 0.5 to 7 % where they jump.
 
 # A least-cost path
 
 `result.path` returns a path from the center of a point's cell to the nearest source. Its cost is the distance there.
-Results for rasters of more than 2 million cells have no paths: follow a PLR instead, as below.
+Results for rasters of more than 2 million cells have no paths, unless you ask for bounds or give heights: follow a
+PLR instead, as below.
 
 ```python
 village = (70.5 * 30, 50.5 * 30)  # the center of cell [50, 70]
@@ -37,7 +39,8 @@ print(result.path(village))  # vertices (n, 2)
 
 `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
 `upper` is the distance, rounded up, so only `lower` adds information. The bounds are on average 2 to 4 % of the
-distance apart in our experiments; near sources and beside much cheaper cells they are far apart.
+distance apart in our experiments. Near sources they are far apart, and may be so if costs of neighbors differ by a
+factor of 100 or more.
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)

@@ -53,7 +53,7 @@ _PARTS = 8  # boxes along each axis of a leaf, to measure how much of the leaf i
 # Choice of models for leaf="best". The two ratios were measured on random maps with 10 to 80 blocked cells.
 _CROWDED = 4  # cones are tried if all corners take at most this many times the byte budget
 _ROOMY = 0.5  # only cones are tried if all corners take at most this share of the byte budget
-_BYTES_A_SOURCE = 7  # of a corner in a file
+_BYTES_A_SOURCE = 7  # of a corner in a file, if coordinates are on no lattice; else 3 or more
 _MOST_TIED_AXES = 6  # most dimensions of continuous leaves
 _ERROR_POINTS = 4096  # random points at which errors of models are compared
 
@@ -154,13 +154,13 @@ def construct(
           per byte than planes, but slower to build and to query.
         - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
         - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
-          the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). Needs a
+          the next corner of the path changes, if the budget has room for all corners (3 to 7 bytes each). Needs a
           distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
-          whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. A corner
-          takes about 7 bytes. If all corners take at most half of ``max_bytes``, and neither ``max_leaves``,
+          whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. Each
+          corner counts as 7 bytes. If all corners take at most half of ``max_bytes``, and neither ``max_leaves``,
           ``max_depth`` nor rules of your own are given, it tries only cones. If they take over 4 times ``max_bytes``,
           it tries no cones and, uncertified, no ``"smooth"``.
 
