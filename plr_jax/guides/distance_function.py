@@ -62,14 +62,12 @@ print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
 `plr_jax.construct` stops at the first limit that is reached: `max_bytes`, `max_leaves`, `max_depth`, or `tolerance`,
 the largest error in a cell. Leaves:
 
-- `"cone"`: the length of paths by way of one obstacle corner, exact in most cells. Only among polygons. Each corner
-  takes 3 to 7 bytes in the file.
+- `"cone"`: the length of paths by way of one corner, exact in most cells. Only among polygons; 3 to 7 bytes a corner.
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
 - `"best"`: cones if the budget has ample room for all corners; else it builds several PLRs and keeps the best. It
-  builds only `"continuous"` (in more than 6 dimensions, `"plane"`) if the oracle knows no corners, as a `Roadmap`, or
-  without a proof if the corners need over four times the budget.
+  builds one if the oracle knows no corners, as a `Roadmap`, or without a proof if corners need 4 times the budget.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
