@@ -114,8 +114,8 @@ def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.nd
             height = sign * (pieces[axis] - limit[box, None])
             reaches = highest(height) > 0
             box, rows, pieces, height = box[reaches], rows[reaches], pieces[:, reaches], height[reaches]
-            # A corner on a side that cuts the piece comes out of `clip` twice, as a corner and as a crossing. The next
-            # clipping drops the copy if both are equal, so pieces that were cut are clipped at all further sides.
+            # A corner on a side that cuts the piece comes out of `clip` twice, as a corner and as a crossing. The
+            # next clipping drops an equal copy, so pieces that were cut are clipped at all further sides.
             is_cut = is_cut[reaches] | (lowest(height) < 0)
             pieces[:, is_cut] = clip(pieces[:, is_cut], height[is_cut])
     has_area = areas(pieces) > 0

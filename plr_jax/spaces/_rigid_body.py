@@ -95,8 +95,8 @@ class RigidBodySpace(BodySpace):
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
         """Return which boxes of positions and headings are proven free."""
         # 1. A box is free if its center is in free space, and no wall meets a connected set that contains the center
-        #    and all that the body covers. Where headings change much, this set has all points within the circumscribed
-        #    radius of a position.
+        #    and all that the body covers. Where headings change much, this set has all points within the
+        #    circumscribed radius of a position.
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow = np.flatnonzero(free & (half[:, 2] < _WIDEST_ARC))
         wide = np.flatnonzero(free & (half[:, 2] >= _WIDEST_ARC))
