@@ -1,4 +1,23 @@
-"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions."""
+"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions.
+
+Classes that have the members of a protocol, among others, and functions that ask for it::
+
+    DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
+    FunctionOfBox         PLR                               plot
+    PiecewiseFunction     PLR                               plot
+    CellwiseFn            VisibilityGraph, NearestGoal      construct
+    FamilyFn              VisibilityGraph                   construct_many
+    NearestFn             NearestGoal                       construct
+    ReachFn               VisibilityGraph, Roadmap          construct
+    StackableDistanceFn   PLR, LowerBound                   sum_of_distances
+    BoundingFn            Euclidean, LowerBound             bl_plan, sum_of_distances
+    SymmetricFn           Euclidean, ReedsShepp             construct
+    HeuristicFn           SumOverRobots                     bl_plan
+
+Tests by ``isinstance`` see only whether an object has members of these names. So ``NearestGoal``, which answers for
+cells only if all its functions are VisibilityGraphs of one map, sets ``cell_sources``, ``reach`` and ``goals`` only
+in this case.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +36,7 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 ``inf``, or a masked entry, means that the goal cannot be reached: the point is disconnected from it, in an obstacle,
 or outside the bounds. An oracle never returns NaN or negative numbers; it returns ``inf`` where a coordinate is NaN.
 A PLR may be slightly negative near the goal, returns ``inf`` outside its domain and NaN where a coordinate is NaN,
-and ignores obstacles. Users of a distance function must handle both.
+and ignores obstacles. Users of a distance function must handle the answers of both.
 """
 
 
@@ -65,7 +84,7 @@ class Sources:
     points: Float[np.ndarray, "sources dim"]
     distances: Float[np.ndarray, " sources"]  # to the goal; inf where it cannot be reached
     parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a goal and if unreachable
-    goals: Int[np.ndarray, "goals"] | None = None  # index of each of several goals; the first one of equal goals
+    goals: Int[np.ndarray, "goals"] | None = None  # source of each goal, the first of equal ones; None: one goal, 0
 
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports
@@ -83,12 +102,20 @@ class FamilyFn(CellwiseFn, Protocol):
     """A distance function that shares work with its *family*, functions to other goals on the same map."""
 
     @property
-    def family(self) -> Any: ...  # see plr_jax.VisibilityGraph, also for the methods below
+    def family(self) -> Any: ...  # the corners and what they see: one object for all members
     @property
     def sources(self) -> Sources: ...
+
+    # A free sample point in each box, and the corners that it sees, for any goal.
     def shared_samples(self, lo: Any, hi: Any, /) -> Any: ...
+
+    # By sample: the distance to the goal, and the index in `sources` of the first vertex of its path.
     def first_turns(self, samples: Any, /) -> Any: ...
+
+    # Convex pieces of free space in each box, and corners where paths from each may turn first, for any goal.
     def shared_cells(self, lo: Any, hi: Any, /) -> Any: ...
+
+    # `cell_sources` of pairs i: the box of index box[i] in `shared`, and the function members[member[i]].
     def cells_of_members(self, shared: Any, members: Sequence[Any], box: Any, member: Any, /) -> CellSources: ...
 
 
@@ -133,6 +160,7 @@ class Symmetry:
 
     @classmethod
     def about(cls, point: Float[np.ndarray, " dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
+        """Return the isometry with this matrix that leaves ``point`` in place."""
         return cls(matrix, point - matrix @ point)
 
 

@@ -73,7 +73,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, num_other_bytes)
 
-    # 2. Fit leaves to the estimate on the grid, if there is one, and where it is unknown to the one on the mesh.
+    # 2. Fit leaves to the estimate on the grid. Where there is none, use the estimate on the mesh.
     def distances(x: Points) -> Numbers:
         on_mesh = estimate(x)
         on_grid = on_mesh if field is None or field.guide is None else field.guide(x)
@@ -91,7 +91,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Rows (leaf, held_in, bounded_by): a point of the leaf in the cell `held_in` has the bounds of the open cell
-    #    `bounded_by`. This is the same cell or, for a flush blocked cell, each open cell beside it.
+    #    `bounded_by`. This is the same cell or, for a flush blocked cell, each open cell beside it. (Free space may
+    #    begin at the faces of a flush cell, so that rounding may place free points in it, at #; see :class:`Mesh`.)
     #      +------+------+
     #      |  A   |  B # |    Leaf L meets the open cell A, and the flush blocked cell B beside A. Its rows are
     #      |   +--+--+ # |    (L, A, A), over the box that L and A share, and (L, B, A), over the part within L of the
@@ -106,7 +107,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     leaf = np.append(met_leaf[is_open], met_leaf[by_cell[first[pair] + place]])
     held_in = np.append(met_cell[is_open], flush[pair])
     bounded_by = np.append(met_cell[is_open], beside[pair])
-    # Leaves that meet a blocked cell which may hold free points, cut off from all goals, have no upper bound.
+    # The mesh also counts cells as blocked from which no goal can be reached, though they may hold free points. The
+    # space does not prove these cells blocked. A leaf that meets one has no upper bound.
     blocked = np.flatnonzero(mesh.state == CellState.BLOCKED)
     cut_off = blocked[field.space.classify(*(end[blocked] for end in mesh.boxes)) != CellState.BLOCKED]
     is_unbounded = np.isin(np.arange(num_leaves), met_leaf[np.isin(met_cell, cut_off)])

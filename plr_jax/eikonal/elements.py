@@ -45,10 +45,10 @@ class FunctionSpace:
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, " dim"]) -> list[csr_array]:
-        """Return, for each axis, the matrix from dofs to Bernstein coefficients of the derivative, over ``scale``.
+        """Return, for each axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative.
 
-        Row ``number * nodes_of_cell + control point`` belongs to a cell that is not blocked; ``number`` counts these
-        cells only.
+        The derivative along an axis is divided by the axis's ``scale``. Rows are the control points of the first open
+        cell (a cell that is not blocked), then those of the second open cell, and so on.
         """
         # 1. The values at the nodes of open cells, and the widths of these cells.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)

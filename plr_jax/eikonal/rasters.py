@@ -56,7 +56,7 @@ class CostDistance:
             are equal, none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
 
         Raises:
-            ValueError: If the point is outside the raster, or a front marched, as over more than 2 million cells.
+            ValueError: If the point is outside the raster, or there are no paths, as over more than 2 million cells.
         """
         if self._tree is None or self._box is None:
             raise ValueError(
@@ -90,7 +90,8 @@ def cost_distance(
     Distances are costs of paths, on average about 0.1 % above the least; the largest excess in our experiments is
     2.2 % of the mean distance. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells,
     without bounds and heights, a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to
-    0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
+    0.3 % on average where costs change slowly, 0.5 to 7 % where they jump. A cell much longer than wide counts as
+    several cells, as the search divides it into parts that are about square.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -132,7 +133,7 @@ def cost_distance(
     # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
     lower = upper = plr = tree = None
     if rise is None:
-        parts = raster_search.parts_of_cells(cost, side)
+        parts = raster_search.parts_of_cells(cost, side)  # rows and columns of parts, about square, of each cell
         num_cells = cost.size * int(parts.prod())
         if as_bool("bounds", bounds) and num_cells > MOST_ON_REQUEST:
             raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
@@ -180,7 +181,10 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and slices that restore the order."""
+    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and slices that reverse axes.
+
+    Applied once, the slices sort the cells by ascending coordinates; applied twice, they restore the given order.
+    """
     # 1. Check the shape of costs, and the size of cells.
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:

@@ -386,11 +386,11 @@ class SlopeSolver:
         return mesh
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return the mesh with each mixed cell free or blocked, by whether a motion through the cell is free.
+        """Return the mesh with each mixed cell free or blocked: free if a motion through its middle is free.
 
-        The answer for a new cell is kept in ``_through``.
+        The motion leads from side to side of the cell, along the gradient of the lower bound. The answers for new
+        cells are kept in ``_through``.
         """
-        # The motion passes the middle of the cell along the gradient of the lower bound, from side to side.
         mesh = self.mesh
         new = np.flatnonzero((mesh.state == CellState.MIXED) & (self._through == CellState.MIXED))
         slope = np.zeros((len(mesh.state), mesh.dim))

@@ -25,7 +25,8 @@ from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # a full turn as a pseudo-angle
 Indices: TypeAlias = Int[np.ndarray, " _"]
-GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
+# The visibility polygon of a goal, and the corners that it may see; -1 stands for no corner.
+GoalView: TypeAlias = tuple[VisibilityTable, Indices]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +118,11 @@ def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
     """Return what all corners and the goal see after a change, computed again only where it may differ."""
-    # 1. Match each new corner with the old one at its vertex, if all sectors of both open and close at equal edges:
-    #    `same` is the old corner's index, or -1.
+    #   same[c]:    the old corner at the vertex of new corner c, with equal sectors; -1 if there is none
+    #   reused[c]:  same[c] if what the corner sees has not changed either, else -1
+    # Below, np.append(values, default)[i] is `default` for i = -1.
+    #
+    # 1. Match each new corner with the old one at its vertex, if all sectors of both open and close at equal edges.
     corners, views = find_corners(workspace)
     boundary = change.new
     is_kept = change.vertex >= 0
@@ -135,8 +139,8 @@ def changed_visibility(
     differs = num_sectors != np.append(num_old_sectors, 0)[at_vertex]
     differs[views.owner[~is_same_sector[views.edge]]] = True
     same = np.where(differs, -1, at_vertex)
-    # 2. Recompute what new corners see, what corners see that may see a change, and what the goal sees if it may:
-    #    `reused` is the old corner whose visibility polygon is that of the new one, or -1.
+    # 2. Compute visibility again for corners that match no old corner or may see a changed edge, and for the goal if
+    #    it may see one.
     reused = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
     is_goal_changed = bool(_may_see_change(of_goal[0], change)[0])
     unchanged, changed = np.flatnonzero(reused >= 0), np.flatnonzero(reused < 0)
@@ -149,14 +153,14 @@ def changed_visibility(
     # 3. Join what stays and what is recomputed.
     table = _splice([(old.table, reused[unchanged], unchanged), (fresh, np.arange(len(changed)), changed)], change)
     goal_table, goal_row = (fresh, len(changed)) if is_goal_changed else (of_goal[0], 0)
-    new_of_old = np.full(len(old.corners.points), -1)
-    new_of_old[same[same >= 0]] = np.flatnonzero(same >= 0)
-    goal_corners = seen[view == len(changed)] if is_goal_changed else new_of_old[of_goal[1]]
+    new_of_matched = np.full(len(old.corners.points), -1)
+    new_of_matched[same[same >= 0]] = np.flatnonzero(same >= 0)
+    goal_corners = seen[view == len(changed)] if is_goal_changed else new_of_matched[of_goal[1]]
     new_view = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
     # 4. Keep the edges between unchanged corners.
-    new_index = np.full(len(old.corners.points), -1)
-    new_index[reused[unchanged]] = unchanged
-    edges = new_index[old.edges]
+    new_of_unchanged = np.full(len(old.corners.points), -1)
+    new_of_unchanged[reused[unchanged]] = unchanged
+    edges = new_of_unchanged[old.edges]
     edges = edges[(edges >= 0).all(axis=1)]
     # 5. Add the edges of recomputed corners. They need corners that see one another: look up whether unchanged
     #    corners see the recomputed ones that see them.

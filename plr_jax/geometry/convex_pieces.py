@@ -114,7 +114,9 @@ def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.nd
             height = sign * (pieces[axis] - limit[box, None])
             reaches = highest(height) > 0
             box, rows, pieces, height = box[reaches], rows[reaches], pieces[:, reaches], height[reaches]
-            is_cut = is_cut[reaches] | (lowest(height) < 0)  # clipping again drops corners that clipping repeated
+            # A corner on a side that cuts the piece comes out of `clip` twice, as a corner and as a crossing. The
+            # next clipping drops an equal copy, so pieces that were cut are clipped at all further sides.
+            is_cut = is_cut[reaches] | (lowest(height) < 0)
             pieces[:, is_cut] = clip(pieces[:, is_cut], height[is_cut])
     has_area = areas(pieces) > 0
     return pieces[:, has_area], box[has_area], rows[has_area]
@@ -153,7 +155,8 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
     # both apexes outside of their segment, where the difference is constant. On an edge the difference is stationary
     # where both apexes appear at the same angle to the edge:
     #   (place - along_a) / beside_a = (place - along_b) / beside_b,
-    # where `along` is the foot of an apex on the edge's line, and `beside` its distance from the line.
+    # where `place` and `along`, the foot of an apex on the edge's line, are distances from the edge's start, and
+    # `beside` is the distance of an apex from the line.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)

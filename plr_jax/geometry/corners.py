@@ -137,7 +137,13 @@ class TurnPoints:
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
         """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
-        # A cone is narrower than half the plane, so the right side's inward normal is counterclockwise of the left's.
+        #     left side \     / right side       Inward normals are the right side turned left, and the left side
+        #                \   /                    turned right.
+        #                 \ /
+        #                corner
+        #
+        # A cone is narrower than half the plane, so the right side's inward normal is counterclockwise of the left's:
+        # if both are `in_order`, the second normal is that of the right side.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))

@@ -257,7 +257,10 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether points lie in front of the nearest edge in intervals ``row``, exactly near the edge."""
+        """Return whether each point is on the free side of the line of the edge that bounds the view in its interval.
+
+        Interval ``row[i]`` is that of point ``x[i]``; False if it has no edge. Near the line the test is exact.
+        """
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]

@@ -78,9 +78,12 @@ def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " 
 def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
     """Follow the walls around obstacles instead of free space, so that paths may pass where obstacles touch.
 
-    Return the new outline, and the boundary vertex at each of its points, given those of the old outline. If a wall
-    of a thin obstacle ends in a contact, all contacts stay closed: the wall stays when walls move back, so it might
-    hide a corner in the contact, or fail to. Paths then join corners in the sectors of free space beside it.
+    Return the new outline, and the boundary vertex at each of its points, given those of the old outline.
+
+    If a wall of a thin obstacle ends in a contact, all contacts stay closed. When walls move into their obstacles,
+    walls of thin obstacles stay in place (:meth:`Outline.moved_walls`), so it would be open whether such a wall hides
+    a corner in the contact. Paths still pass closed contacts: each sector of free space at a contact has a corner of
+    its own in the file, and these corners are joined (see :func:`corners_in_outline`).
     """
     is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
     if (outline.is_contact & is_beside_thin).any():
@@ -239,7 +242,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
     if workspace.squeeze:
         outline, vertex = with_open_contacts(outline, vertex)
-    # `corner` has outline points, `of_corner` the index of each of them in `visibility`.
+    # Indices: `vertex` of workspace.boundary by outline point; outline point `corner` by corner of the file;
+    # `of_corner` in `visibility` by corner of the file.
     corner, of_corner = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
     if len(corner) > MOST_CORNERS:
         raise ValueError(
@@ -260,6 +264,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     #    Join points of the same corner, too. Sort pairs by the later corner, then by the earlier corner.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
+    #    An edge (a, b) becomes an edge from each of the file's corners of a to each of those of b.
     start, row_a = in_file(a[is_taut])
     end, row_b = in_file(b[is_taut][row_a])
     same = np.flatnonzero(of_corner[order[1:]] == of_corner[order[:-1]])
@@ -269,7 +274,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     #    Distances between corners are compared one by one. Visibility has a tolerance.
     true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
     moved = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0))
-    change = 0.0  # the largest one of a distance between corners
+    change = 0.0  # the largest change of a distance between corners
     for (_, exact), (_, rough) in zip(*(distances_by_rows(points, edges) for points in (true, rounded)), strict=True):
         with np.errstate(invalid="ignore"):  # `exact` and `rough` may both be infinite
             change = max(change, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))

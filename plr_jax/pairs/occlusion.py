@@ -1,10 +1,11 @@
-"""Fast tests of whether obstacles hide points from each other.
+"""Fast tests of whether obstacles hide points from each other, for the queries of a PairPLR in ``query.py``.
 
-- :class:`NearWalls`: a leaf of the partition lists the corners where paths from it may turn first. Only the few walls
-  between the leaf and such a corner can hide it. :func:`near_entries` finds these walls for runs of neighbor leaves
-  first, then for ever shorter runs: a wall that is not between a large box and a corner is not between a part of the
-  box and the corner.
-- Occluders: long chords inside obstacles. Tests of a few dozen chords replace most tests of walls.
+- :class:`NearWalls` tests a point and a corner. A leaf of the partition lists the corners where paths from it may
+  turn first. Only the few walls between the leaf and such a corner can hide it. :func:`near_entries` finds these
+  walls for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
+  corner is not between a part of the box and the corner.
+- Occluders, long chords inside obstacles, test any two points. Tests of a few dozen chords replace most tests of
+  walls.
 - :func:`updated`: compute only the rows of an array that need it, in batches.
 """
 
@@ -38,6 +39,7 @@ _MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memor
 # Occluders.
 _PAIRS = 2**12  # random pairs of points by which occluders are chosen
 _MOST_VERTICES = 96  # vertices of an obstacle between which chords are tried
+_TRIED_CHORDS = 768  # longest chords of an obstacle that are tested, of up to 96 * 95 / 2
 _MOST_CHORDS = 64  # chords of an obstacle that are kept
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
@@ -77,8 +79,9 @@ class NearWalls:
         Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``, which ascends. ``shape`` is that of
         ``first``.
         """
-        # A query reads as many walls for every entry. This is as slow if the longest list has 1 / `_COST` of all
-        # walls.
+        # For each entry, a query reads as many walls as the longest list has. A wall that a point reads for itself
+        # takes `_COST` times as long as a wall that all points share. So no time is saved if the longest list has
+        # more than len(walls) / `_COST` walls.
         most_worthwhile = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, most_worthwhile)) is None:
             return None
@@ -88,6 +91,8 @@ class NearWalls:
         first = np.zeros(shape, np.uint32)
         packed = np.cumsum(counts) - counts + np.where(counts > _SHORT, _LONG, 0)
         first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = packed  # at (leaf, place in its list)
+        # The last entries read `most` walls, past the last wall: the padding has walls of length 0, which nothing
+        # crosses.
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
@@ -178,7 +183,7 @@ def near_entries(
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort: there are at most 2**13 corners
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))  # of each corner in `by_corner`
     near_pairs, count = [np.zeros((2, 0), np.int32)], 0
-    for block in parts(np.full(len(corners), len(walls)), _BLOCK):
+    for block in parts(np.full(len(corners), len(walls)), _BLOCK):  # slices of corners
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
         corner = listed[entries]
         near = _near_entries(boxes, leaf[entries], corner - block.start, corners[corner], walls, margin)
@@ -198,22 +203,29 @@ def _near_entries(
     # neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion; only
     # these walls are candidates for each leaf of a run. Pairs are returned in the order of entries.
     #
+    # `boxes` are leaves in the first call, then runs of 4, 16, ... leaves; "leaf" below stands for any of them.
+    #
+    #     leaves    0  1  2  3 |  4  5  6  7 | ...    entry:      (leaf, corner), if the leaf lists the corner
+    #     runs           0     |       1     | ...    run entry:  (run, corner), if a leaf of the run lists the corner
+    #
+    # A wall that is not near a run entry is near none of its entries.
+    #
     # 1. Find the candidates of each entry.
     lo, hi = boxes
     if len(lo) == 1:  # all walls, for all entries
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
         run_entry = np.zeros(len(leaf), np.int64)
     else:
-        # A run lists a corner if one of its leaves does. Each such pair of a run and a corner is an entry of the
-        # recursion. `heads` holds one of our entries for each pair, and `run_entry` the pair of each of our entries.
+        # Run entries are the entries of the recursion. `heads` holds one entry of each run entry, and `run_entry` the
+        # run entry of each entry.
         begin = np.arange(0, len(lo), _RUN)
         runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
         key = leaf // _RUN * (corner.max(initial=0) + 1) + corner
         _, heads, run_entry = np.unique(key, return_index=True, return_inverse=True)
         if (near := _near_entries(runs, leaf[heads] // _RUN, corner[heads], point[heads], walls, margin)) is None:
             return None
-        entry, candidates = near
-        first = np.searchsorted(entry, np.arange(len(heads) + 1))
+        run_entries, candidates = near  # pairs, in the order of run entries
+        first = np.searchsorted(run_entries, np.arange(len(heads) + 1))
     # 2. Test them. The candidates of entry `i` are `candidates[first[k] : first[k + 1]]` with `k = run_entry[i]`.
     tests = first[run_entry + 1] - first[run_entry]
     if tests.sum() > _MOST_TESTS:
@@ -222,8 +234,8 @@ def _near_entries(
     near_pairs = [np.zeros((2, 0), np.int32)]
     for part in parts(tests[tested], _AT_ONCE):
         entries = tested[part]
-        place, row = take_ragged(first, run_entry[entries])
-        wall, box = candidates[place], leaf[entries]
+        index, row = take_ragged(first, run_entry[entries])  # candidates, and the row in `entries` of their entry
+        wall, box = candidates[index], leaf[entries]
         near = _near_pairs((lo[box], hi[box], point[entries]), row, walls, wall, margin)
         near_pairs.append(np.stack([entries[row[near]], wall[near]]))
     entry, wall = np.concatenate(near_pairs, axis=1)
@@ -252,10 +264,14 @@ def _near_pairs(
     #        c  .  .  .  .  '
     #
     #    Points p of the hull have d x p >= d x c + least. A wall is apart if both of its ends have less, by more than
-    #    `reach`, by which d x p can change within the margin.
-    ends = np.stack([lo, np.stack([hi[:, 0], lo[:, 1]], axis=1), np.stack([lo[:, 0], hi[:, 1]], axis=1), hi]) - corner
-    x, y = ends.transpose(2, 0, 1)
-    cross = x[:, None] * y - y[:, None] * x  # of all pairs of the box's corners, relative to c
+    #    `reach`, by which d x p can change within the margin: d x p < limit = d x c + least - reach.
+    #
+    #    To find r, let w_i be the box's corners relative to c: cross[i, j] = w_i x w_j, (4, 4, n). No w_j is to the
+    #    right of w_r, so the minimum of cross[r, j] over j is 0, for j = r. With c in the box, or by rounding, this
+    #    minimum may be negative for all corners: take the corner for which it is largest. For l, change the signs.
+    box_corners = np.stack([lo, np.stack([hi[:, 0], lo[:, 1]], axis=1), np.stack([lo[:, 0], hi[:, 1]], axis=1), hi])
+    x, y = (box_corners - corner).transpose(2, 0, 1)
+    cross = x[:, None] * y - y[:, None] * x
     lines = []
     for sign in (1, -1):  # touching r, touching l
         least = (sign * cross).min(axis=1)
@@ -268,7 +284,7 @@ def _near_pairs(
     #    box, this product is from middle - half to middle + half, here with the margin. Then test the axes across
     #    both lines.
     columns = np.stack([*((lo + hi) / 2).T, *((hi - lo) / 2).T, *corner.T, *lines[0], *lines[1]])
-    middle_x, middle_y, half_x, half_y, cx, cy, *lines = columns.take(entry[pairs], axis=1)
+    middle_x, middle_y, half_x, half_y, cx, cy, *of_lines = columns.take(entry[pairs], axis=1)
     ax, ay, bx, by = walls.T.take(wall[pairs], axis=1)
     ex, ey = bx - ax, by - ay
     turn, size_x, size_y = ex * ay - ey * ax, np.abs(ex), np.abs(ey)
@@ -276,8 +292,8 @@ def _near_pairs(
     reach = margin * (size_x + size_y)
     half = size_x * half_y + size_y * half_x + reach
     is_apart = (np.minimum(middle - half, at_corner - reach) > 0) | (np.maximum(middle + half, at_corner + reach) < 0)
-    for dx, dy, least in (lines[:3], lines[3:]):
-        is_apart |= np.maximum(dx * ay - dy * ax, dx * by - dy * bx) < least
+    for dx, dy, limit in (of_lines[:3], of_lines[3:]):
+        is_apart |= np.maximum(dx * ay - dy * ax, dx * by - dy * bx) < limit
     return pairs[~is_apart]
 
 
@@ -293,15 +309,15 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
 
     # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
     rng = np.random.default_rng(0)
-    box = shapely.box(*domain.lo, *domain.hi)
-    solid = shapely.buffer(shapely.difference(box, region), -depth, join_style="mitre")
+    obstacles = shapely.difference(shapely.box(*domain.lo, *domain.hi), region)
+    solid = shapely.buffer(obstacles, -depth, join_style="mitre")
     inner_chords = [np.zeros((0, 2, 2))]
     for part in shapely.get_parts(solid):
         vertices = np.unique(shapely.get_coordinates(part), axis=0)
         vertices = vertices[rng.permutation(len(vertices))[:_MOST_VERTICES]]
         ends = vertices[np.stack(np.triu_indices(len(vertices), 1), axis=1)]
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        ends = ends[np.argsort(-length, kind="stable")[: _MOST_VERTICES * 8]]
+        ends = ends[np.argsort(-length, kind="stable")[:_TRIED_CHORDS]]
         shapely.prepare(part)
         inner_chords.append(ends[shapely.covers(part, shapely.linestrings(ends))][:_MOST_CHORDS])
     chords = np.concatenate(inner_chords)
@@ -310,7 +326,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     shapely.prepare(region)
     is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
     p, q = x[is_free].T, y[is_free].T
-    a, b = chords.transpose(1, 2, 0)[..., None]
+    a, b = chords.transpose(1, 2, 0)[..., None]  # coordinates (2, chords, 1); those of p and q are (2, pairs)
 
     def left_of(a: Any, b: Any, p: Any) -> Any:
         (ax, ay), (bx, by), (px, py) = a, b, p

@@ -1,4 +1,8 @@
-"""Best-first search over joint configurations (Barraquand and Latombe), with beam search for the children."""
+"""Best-first search over joint configurations (Barraquand and Latombe), with beam search for the children.
+
+The *children* of a node are its next joint configurations: each robot makes one motion of its lattice, or stays. A
+node's *successors* are the best children, which beam search finds; they join the tree one after the other.
+"""
 
 import heapq
 import math
@@ -16,8 +20,8 @@ from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, State
 
-_CHUNK = 1 << 15  # configurations per call of the heuristic, between two checks of the clock
-_PURPOSE = "the heuristic was known"
+_CHUNK = 1 << 15  # joint configurations per call of the heuristic, between two checks of the clock
+_PURPOSE = "the heuristic was known"  # ends the error message "The deadline passed before ..."
 _INFINITE = 1e30  # larger estimates count as infinite, as sums of them could overflow float32
 # Memory:
 _NODE_BYTES = 350  # bytes of a node in the tree, the frontier and the set of claimed cells
@@ -35,19 +39,17 @@ _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary
 Table: TypeAlias = Float[np.ndarray, " _"]  # the estimate at each node of a robot's lattice
 
 
-class Successors(NamedTuple):
-    """The best successors (next joint configurations) of each of ``n`` joint configurations, by ascending score."""
+class Beam(NamedTuple):
+    """The best children of each of ``n`` joint configurations, by ascending score."""
 
-    score: Float[np.ndarray, "n m"]  # sum of the robots' terms; inf for children that collide
+    step_score: Float[np.ndarray, "n m"]  # sum of the robots' terms for this step; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
     num_scored: int  # children scored, including those in which only the first robots have moved
     num_valid: int  # collision-free children in which every robot has moved, over all nodes
     is_complete: Bool[np.ndarray, " n"]  # whether surely no collision-free child is missing
 
 
-def best_successors(
-    joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int
-) -> Successors:
+def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int) -> Beam:
     """Find the best next joint configurations (children) of joint states by beam search, one robot at a time.
 
     Only the ``width`` best joint motions of the first robots are kept before the next robot's motions are added.
@@ -64,6 +66,9 @@ def best_successors(
         # 1. Extend each joint motion by each primitive of robot i (third axis); the score of collisions is inf.
         extended = score[:, :, None] + term[state[:, i], None]
         for j in range(i):
+            # `near`: the rows in which robots j and i are near. collide[k, p, q]: whether primitive p of robot j and
+            # primitive q of robot i collide in row near[k]. The primitives of robot j are (near, m); the penalty that
+            # they select is (near, m, primitives of robot i).
             near, collide = joint.collisions(j, i, state)
             if collide.any():
                 penalty = np.where(collide, np.float32(np.inf), np.float32(0.0))
@@ -82,13 +87,14 @@ def best_successors(
         primitive = np.concatenate([primitive[rows, parent], last[..., None].astype(np.uint8)], axis=2)
     # 3. Sort them.
     order = np.argsort(score, axis=1, kind="stable")
-    score = np.take_along_axis(score, order, axis=1)
-    return Successors(score, primitive[rows, order], num_scored, num_valid, is_complete)
+    step_score = np.take_along_axis(score, order, axis=1)
+    return Beam(step_score, primitive[rows, order], num_scored, num_valid, is_complete)
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
     """Return each robot's term of the heuristic at all nodes of its lattice."""
     size = max(len(lattice.q) for lattice in joint.lattices)
+    # Shorten the chunks of large teams: a call has fewer than `16 * _CHUNK` configurations of single robots.
     chunk = max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
@@ -114,7 +120,19 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search: the best node's best child joins the tree, then the node is queued for its next child."""
+    """A best-first search: the best node's best child joins the tree, then the node is queued for its next child.
+
+    Several nodes are expanded at once, while the search makes no progress. The life of a node::
+
+        frontier --pop--> node --- if it has no successors: beam search stores some (`_expand`)
+          ^                |
+          |                v
+          |<------------ its next unclaimed successor becomes a node (`_add_child`), with its own score
+          |                |
+          |                v
+          +------------- the node, with the score of the unclaimed successor after it. If there is none, the node
+                         returns for a beam 8 times as wide, unless no child is missing or the beam is the widest.
+    """
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
         self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
@@ -122,8 +140,9 @@ class BestFirstSearch:
         self.least_estimate = 0.0  # least weighted heuristic of the nodes
         for lattice, estimate in zip(joint.lattices, estimates, strict=True):
             require_time(budget.deadline, _PURPOSE)
+            # Nodes without an estimate are not pruned: they count as twice the largest estimate.
             is_finite = estimate < _INFINITE
-            table = np.where(is_finite, estimate, 2 * estimate[is_finite].max(initial=0.0))  # prune nothing
+            table = np.where(is_finite, estimate, 2 * estimate[is_finite].max(initial=0.0))
             self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
             self.least_estimate += weight * table[lattice.start]
         self.memory_use.add(bytes_of_tables(joint))
@@ -160,6 +179,7 @@ class BestFirstSearch:
             return Status.SOLVED
         if self.frontier:
             return None
+        # Otherwise the cut of the widest beam, which bounds the memory, lost children.
         return Status.EXHAUSTED if self.is_complete else Status.MEMORY_LIMIT
 
     @property
@@ -194,24 +214,24 @@ class BestFirstSearch:
                 # 3. Find successors, and keep the best of each node.
                 state = np.array([self.states[node] for node in part])
                 cost = np.array([self.costs[node] for node in part])
-                children = best_successors(self.joint, self.scores, state, width)
-                num_valid = np.isfinite(children.score).sum(axis=1)
+                beam = best_successors(self.joint, self.scores, state, width)
+                num_valid = np.isfinite(beam.step_score).sum(axis=1)
                 num_kept = np.minimum(num_valid, max(width // _STORED_SHARE, 1))
-                is_complete = children.is_complete & (num_kept == num_valid)
+                is_complete = beam.is_complete & (num_kept == num_valid)
                 # 4. Compute score, state and cost of each kept successor: `row` is its node's index in `part`.
                 row, column = ragged_indices(num_kept)
-                score = cost[row] + children.score[row, column]
-                state, move_cost = self.joint.move(state[row], children.primitive[row, column])
+                score = cost[row] + beam.step_score[row, column]
+                state, move_cost = self.joint.move(state[row], beam.primitive[row, column])
                 cost = cost[row] + move_cost
-                self.budget.num_children_scored += children.num_scored
-                self.budget.num_children_valid += children.num_valid
+                self.budget.num_children_scored += beam.num_scored
+                self.budget.num_children_valid += beam.num_valid
                 # 5. Store the successors of each node.
                 last = np.cumsum(num_kept)
                 for i, node in enumerate(part):
                     best = slice(last[i] - num_kept[i], last[i])
-                    s, c, q = score[best], cost[best], state[best]
-                    num_bytes = s.nbytes + c.nbytes + q.nbytes
-                    self.successors[node] = SuccessorList(s, c, q, width, bool(is_complete[i]), num_bytes)
+                    kept = score[best], cost[best], state[best]
+                    num_bytes = sum(values.nbytes for values in kept)
+                    self.successors[node] = SuccessorList(*kept, width, bool(is_complete[i]), num_bytes)
                     self.memory_use.add(num_bytes)
                 self.num_expansions += len(part)
                 self.budget.num_expansions += len(part)
@@ -221,6 +241,7 @@ class BestFirstSearch:
         successors = self.successors[node]
         is_added = False
         for child in range(successors.next_index, len(successors.score)):
+            # Copied, as a view would keep the whole list in memory.
             state, score = successors.state[child].copy(), successors.score[child]
             if (cell := state.tobytes()) in self.claimed:
                 continue
@@ -237,7 +258,7 @@ class BestFirstSearch:
             self.states.append(state)
             self.costs.append(cost)
             self.parents.append(node)
-            self.least_estimate = min(self.least_estimate, score - cost)
+            self.least_estimate = min(self.least_estimate, score - cost)  # the child's weighted heuristic
             self.budget.num_nodes += 1
             self.memory_use.add(_NODE_BYTES + 8 * len(state))
         # 2. If there is no further child, a wider beam may find more, unless none is missing.
@@ -249,7 +270,8 @@ class BestFirstSearch:
             self.is_complete = False
         else:
             self.next_widths[node] = successors.width * _WIDTH_GROWTH
-            # A cut may leave only children that collide: then the node returns with its own cost.
+            # A cut may leave only children that collide: then the node returns with its own cost, which is at most
+            # the score of any child, so that it comes before them.
             self._push(successors.score[-1] if len(successors.score) else self.costs[node], node)
 
     def _push(self, score: float | np.floating, node: int) -> None:

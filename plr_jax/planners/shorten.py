@@ -73,9 +73,11 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, " robots"]]:
-    # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that the best ones do not skip,
-    # and the robots that block some.
-    # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
+    # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that stay on the cheapest
+    # route, and for each robot whether it blocked a shortcut.
+    # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends at a contact of walls, except at
+    #    the start or goal: two motions that meet there may lead through the contact, which no test of one motion
+    #    sees. A shortcut may skip the contact.
     q = trajectory.path[:, i]
     is_motion = end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -193,7 +195,7 @@ def _shortened_in_corridors(
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         begin, end = corridor[row, first], corridor[row + 1, last]
-        at_contact = test.wall_tests[i].is_at_contact(corridor)
+        at_contact = test.wall_tests[i].is_at_contact(corridor)  # no new motion begins or ends there
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
         near_wall = free & ~test.wall_tests[i].has_room(*region)[row]
         free[near_wall] = test.wall_tests[i](begin[near_wall], end[near_wall], test.deadline)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from plr_jax._arrays import as_finite_point, require_integer
+from plr_jax._arrays import as_finite_point, require_integer, shortened
 from plr_jax._types import ArrayLike, FunctionOfBox
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.plot._axes import (
@@ -70,6 +70,8 @@ def slices(
         expected = f"axis must be below {domain.dim} and count at most {_MOST_SLICES}"
         raise ValueError(f"{expected}, got {axis} and {count}.")
     at = {} if at is None else at
+    if not isinstance(at, Mapping):
+        raise ValueError(f"at must map axes to coordinates, such as {{3: 0.5}}, got {shortened(at)}.")
     if axis in at:
         raise ValueError(f"at must leave out axis {axis}, along which slices are stacked, got {dict(at)}.")
     if goal is not None:

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 Indices: TypeAlias = Int[np.ndarray, " n"]
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
+# ``keep(pairs, side, half, axis)`` returns which new pairs to follow. In each pair, the node in row ``side`` has just
+# been replaced by its lower (``half`` 0) or upper (1) half along ``axis``.
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
-"""Function ``keep(pairs, side, half, axis)``: which pairs stay after halves along ``axis`` replaced row ``side``."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
@@ -115,6 +116,7 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
         scale = row.pop(pivot)
         solution = {index: -weight / scale for index, weight in row.items()}
+        # `uses` may also name users in which the weight of the variable has canceled.
         users = [pivot, *(user for user in uses.pop(pivot, ()) if pivot in solved[user])]
         solved[pivot] = solution
         for user in users[1:]:
@@ -156,9 +158,9 @@ def neighbor_of_largest_contact(
 ) -> Int[np.ndarray, " m"]:
     """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
-    leaf_of_cell = np.argsort(tree.order)
+    leaf_of_cell = np.argsort(tree.order)  # the inverse permutation
     touching = touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)
-    pairs = borrower, donor = tree.order[touching]  # indices of cells
+    pairs = borrower, donor = tree.order[touching]  # indices of unreachable and of reachable cells
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
     order = np.lexsort((-donor, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor_of = np.full(len(cells), -1)

@@ -219,7 +219,7 @@ def build_pages(
             continue
         start, num_entries = _place_pages(shape, page_bits, later_bits, len(cells))
         total = next((count for count in entry_counts if num_entries <= count), None)
-        # Bytes: 4 a block; an entry takes 2 for the leaf's index, and 4 a parameter.
+        # Bytes: 4 a block, at most 2**most_bits blocks; an entry takes 2 for the leaf's index, and 4 a parameter.
         if total is not None and (size := (4 << most_bits) + total * (2 + 4 * parameters_per_entry)) < fewest:
             best, fewest = (block_bits, page_bits, later_bits, shape, start, num_entries, total), size
         if total == entry_counts[0]:
@@ -239,7 +239,7 @@ def build_pages(
     leaf_of_entry[: len(cells)] = np.arange(len(cells))
     # 4. Pack the masks and starts of blocks into words.
     mask = np.sum(((1 << shape) - 1) << (page_bits - shape + later_bits), axis=1)
-    words = padded((start << page_bits.sum()) | mask, 1 << int(block_bits.sum()))
+    words = (start << page_bits.sum()) | mask
     below_block = ((1 << page_bits) - 1) << (FRACTION_BITS - bits)
     rows = np.stack([below_block, FRACTION_BITS - bits - later_bits, np.full_like(bits, page_bits.sum())])
     pages = Pages(jax.device_put(words.astype(np.uint32)), jax.device_put(rows.astype(np.uint32)))
@@ -260,6 +260,11 @@ def _place_pages(
     #     range          0 1 2 3 4 5 6 7
     #     even half      0   2   4   6     begins at 0
     #     odd half         1   3   5   7   begins at 1
+    #
+    # Pages interleave. If the largest page is 2 x 4, bits of an index are `a b b`, with the bit `a` for axis 0:
+    #
+    #     page of 2 x 2  *   *   *   *     takes the even half: `a b .`
+    #     page of 1 x 2    o   o           takes the lower half of the odd half: `. b .`, with the start 1
     finest = tuple(page_bits.tolist())
     free_starts: dict[tuple[int, ...], Int[np.ndarray, " _"]] = {}  # starts of free ranges, by their shape
     start = np.zeros(len(shape), np.int64)

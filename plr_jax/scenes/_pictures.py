@@ -123,7 +123,7 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
             # 2. Reject pictures that take too much memory, before any pixel is decoded.
             _require_limits(picture, num_bytes)
             if not (numbers and picture.mode in _NUMBER_MODES):
-                _require_plain(picture, numbers)
+                _require_plain(picture, numbers)  # also scales the transparent gray
             # 3. Decode the pixels, and apply the orientation that the file states.
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
@@ -310,10 +310,10 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
     along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
     keys = np.ravel(tags.get(_GEO_KEYS, ()))
     keys = keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist()
-    if _PIXEL_IS_POINT in keys:  # pixel (0, 0) has its center there, half a pixel from the corner
+    if _PIXEL_IS_POINT in keys:  # they are counted from the center of the upper left pixel, not from its corner
         column, row = column + 0.5, row + 0.5
     if _IS_GEOGRAPHIC in keys:
-        warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=4)
+        warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=3)
     lo = x - column * along_x, y - (rows - row) * along_y
     require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
     return factors, (lo, (lo[0] + columns * along_x, lo[1] + rows * along_y))

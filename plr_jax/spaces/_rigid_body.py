@@ -18,7 +18,8 @@ from plr_jax.robots.robot import Robot, check_body, side_offsets
 from plr_jax.spaces._plane import BodySpace, Booleans, PlaneSpace, near_walls, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
 
-# Half turns below this are bounded by a polygon around the swept body, larger ones by its circumscribed circle.
+# Radians. If the headings of a box differ by less than this from the middle heading, a polygon encloses the body at
+# all headings, else its circumscribed circle does.
 _WIDEST_ARC = math.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
@@ -64,7 +65,8 @@ class RigidBodySpace(BodySpace):
         The second is None if there are no other polygons, or if the body might pass between touching obstacles.
         """
         parts, rest = PlaneSpace(self.workspace).separated(np.asarray(q)[:, :2])
-        # A segment may pass lengthwise where obstacles touch.
+        # A segment may pass lengthwise where obstacles touch. A reference point that is outside the body, by
+        # rounding, does not tell in which polygon the body is.
         if rest is None or self.robot.breadth == 0 or self.robot.inscribed_radius < 0:
             return self, None
         bounds, squeeze = self.workspace.bounds, self.workspace.squeeze
@@ -77,12 +79,13 @@ class RigidBodySpace(BodySpace):
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         # 1. A body far from all walls is free. This test is fast.
         test = motion_test(self.workspace, self.robot)
-        has_room = test.has_room(center[:, 0], center[:, 1], _motion_bounds(half, 0.0))
+        reach = _motion_bounds(half, 0.0)  # of the reference point; `has_room` allows any heading
+        has_room = test.has_room(center[:, 0], center[:, 1], reach)
         state[has_room] = CellState.FREE
-        # 2. Enclose what the body covers in the other boxes, batch by batch.
+        # 2. Enclose what the body covers in the other boxes, batch by batch. A core of k vertices leads to hulls
+        #    of 4 * (2 * k + 1) points.
         unsure = np.flatnonzero(~has_room)
-        size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
-        for part in batches(unsure, size):
+        for part in batches(unsure, max(1, _POINTS // (8 * len(self.robot.core) + 4))):
             state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         # 3. The rest may be blocked.
         unsure = unsure[state[unsure] == CellState.MIXED]
@@ -91,7 +94,9 @@ class RigidBodySpace(BodySpace):
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
         """Return which boxes of positions and headings are proven free."""
-        # 1. Where headings change much, keep the circumscribed circle away from walls.
+        # 1. A box is free if its center is in free space, and no wall meets a connected set that contains the center
+        #    and all that the body covers. Where headings change much, this set has all points within the
+        #    circumscribed radius of a position.
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow = np.flatnonzero(free & (half[:, 2] < _WIDEST_ARC))
         wide = np.flatnonzero(free & (half[:, 2] >= _WIDEST_ARC))
@@ -105,14 +110,15 @@ class RigidBodySpace(BodySpace):
         #            \  h | h  /
         #             \   |   /
         #               \ r /
+        #    For n boxes and a core of k vertices, r and the 2 * k tips are copied to the 4 corners of the box of
+        #    positions: points (n, 2 * k + 1, 4, 2).
         center, half = center[narrow], half[narrow]
         reference = center[:, None, :2]
         ends = np.concatenate([_placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
         tips = reference + (ends - reference) / np.cos(half[:, 2])[:, None, None]
         offsets = half[:, None, :2] * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
-        points = points.reshape(len(center), 4 * (tips.shape[1] + 1), 2)
-        hulls: Any = shapely.convex_hull(shapely.linestrings(points))
+        hulls: Any = shapely.convex_hull(shapely.linestrings(points.reshape(len(points), 4 * points.shape[1], 2)))
         free[narrow] = ~near_walls(self.workspace, hulls, self.robot.rounding)
         return free
 
@@ -124,7 +130,8 @@ class RigidBodySpace(BodySpace):
         center, half = center[rows], half[rows]
         # 2. Scale a convex body about one of its points by 1 - m / depth of that point: the result lies within the
         #    body eroded by m. If no point of the body moves farther than m, the moved body still covers the eroded
-        #    body.
+        #    body. The core, which the body contains, serves as the convex body here. As a configuration with an
+        #    overlap of up to the tolerance is free, the proofs ask for twice the tolerance.
         middle, depth = self._deepest_point
         erosion = _motion_bounds(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
         is_small = erosion < depth
@@ -134,10 +141,10 @@ class RigidBodySpace(BodySpace):
         hit[rows[is_small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
         # 3. A wall may be so near to a point of the body that the disc around the point, which moves with it, always
         #    covers it.
-        for point, depth in zip(*self._probes, strict=True):
+        for point, radius in zip(*self._probes, strict=True):
             pending = np.flatnonzero(~hit[rows])
             position = _placed(point[None], center[pending])[:, 0]
-            spare = depth - _motion_bounds(half[pending], np.hypot(*point)) - 2 * self.workspace.tolerance
+            spare = radius - _motion_bounds(half[pending], np.hypot(*point)) - 2 * self.workspace.tolerance
             hit[rows[pending]] = walls_within(self.workspace, position, spare)
         return hit
 
@@ -147,7 +154,7 @@ class RigidBodySpace(BodySpace):
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
-        radius = shapely.maximum_inscribed_circle(shapely.Polygon(core))
+        radius = shapely.maximum_inscribed_circle(shapely.Polygon(core))  # a segment from the center to the circle
         middle = shapely.get_coordinates(radius)[0]
         return middle, max(0.0, side_offsets(core, middle[None]).min())
 

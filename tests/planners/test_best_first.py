@@ -81,12 +81,12 @@ def test_children_are_the_best_free_primitives(problem, step, width):
     joint, terms, state = search.joint, search.scores, free_states(search.joint, 8, seed=3)
     sizes = np.cumprod([term.shape[1] for term in terms])
     children = best_successors(joint, terms, state, width)
-    assert children.score.shape[1] == min(width, sizes[-1])
+    assert children.step_score.shape[1] == min(width, sizes[-1])
     num_valid = 0
     for row in range(len(state)):
-        known = np.isfinite(children.score[row])
+        known = np.isfinite(children.step_score[row])
         keys = [tuple(p) for p in children.primitive[row, known].tolist()]
-        expected, found = all_children(joint, terms, state[row]), children.score[row, known]
+        expected, found = all_children(joint, terms, state[row]), children.step_score[row, known]
         assert len(set(keys)) == len(keys) and set(keys) <= set(expected)
         np.testing.assert_allclose(found, [expected[key] for key in keys], rtol=1e-5)
         assert (np.diff(found) >= 0).all(), "best first"
@@ -106,7 +106,7 @@ def test_children_of_one_robot_are_its_best_motions():
     terms, state = search.scores, np.arange(len(search.joint.lattices[0].q), dtype=np.int32)[:, None]
     for width in (1, 4, 8, 9):
         children = best_successors(search.joint, terms, state, width)
-        np.testing.assert_array_equal(children.score, np.sort(terms[0], axis=1)[:, :width])
+        np.testing.assert_array_equal(children.step_score, np.sort(terms[0], axis=1)[:, :width])
         np.testing.assert_array_equal(children.is_complete, np.isfinite(terms[0]).sum(axis=1) <= width)
         assert children.num_scored == terms[0].size
         assert children.num_valid == np.isfinite(terms[0]).sum(), "counted before the cut"

@@ -213,6 +213,8 @@ def test_wrong_arguments_of_slices_raise():
         (Ramp(), {"count": 0}, "count must be an integer >= 1, got 0"),
         (Ramp(), {"count": 65}, "count at most 64, got 2 and 65"),
         (Ramp(), {"at": {2: 1.0}}, "at must leave out axis 2, along which slices are stacked"),
+        (Turned(), {"at": 0.5}, r"at must map axes to coordinates, such as \{3: 0.5\}, got 0.5"),
+        (Turned(), {"at": [0.5]}, r"at must map axes to coordinates, .* got \[0.5\]"),
         (Ramp(), {"at": {0: 1.0}}, "must fix 1 of 3 coordinates, got 2"),
         (Ramp(), {"goal": (1, 1)}, r"goal must be one point of shape \(3,\)"),
         (Turned(), {"at": {0: 1, 1: 0.5}, "space": LEFT}, "Expected a space of 5 dimensions, got 3"),

@@ -151,7 +151,10 @@ class Program:
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
-        """Return the fraction bits of points, given by :meth:`offsets`, along each axis."""
+        """Return how far points lie along each axis of the domain, in units of ``2**-23`` of the domain's width.
+
+        ``offsets`` are those of :meth:`offsets`.
+        """
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 

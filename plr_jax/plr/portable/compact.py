@@ -324,9 +324,10 @@ class _Middles:
                 self.corners[lower[:, None] + 1, low] = middle[:, :, 1]
 
     def best_widths(self) -> Int[np.ndarray, " records"]:
-        """Return, for every 16 splits, the width of ``narrow`` that takes the fewest bits.
+        """Choose, for each record of 16 splits, the bits of a ``narrow`` number for which the record is smallest.
 
-        ``wide`` takes twice this width. Edges whose ``narrow`` is wider change to mark 2, in place.
+        A ``wide`` number takes twice as many bits. Edges whose ``narrow`` number does not fit are stored wide: their
+        ``mark`` changes from 1 to 2, in place.
         """
         narrow_bits = 1 + np.frexp(np.abs(self.narrow))[1]
         wide_bits = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
