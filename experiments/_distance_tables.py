@@ -210,7 +210,8 @@ def proof_checks(results: dict[str, Any]) -> str:
         "within the workspace's tolerance, not exactly, are outside the bounds. "
         f"{len(slivers['refused'])} of {len(slivers['totals']) * slivers['num_maps']} PLRs of random maps could not "
         f"be built. In {searches(', lower', 'problems'):,} A* searches on grids with proven lower bounds as the "
-        f"heuristic, {searches(', lower', 'not_optimal')} paths were not optimal; with the PLRs' estimates "
+        f"heuristic, {searches(', lower', 'not_optimal')} paths were not optimal; of "
+        f"{searches(' itself', 'problems'):,} with the PLRs' estimates, "
         f"{searches(' itself', 'not_optimal')} were not."
     )
     return markdown(rows, numbers=2) + f"\n{note}\n"
