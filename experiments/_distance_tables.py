@@ -114,7 +114,7 @@ def accuracy(results: dict[str, Any]) -> str:
         for contender in dict.fromkeys(row["contender"] for row in rows):
             errors = {row["budget"]: row["free"] for row in rows if row["contender"] == contender}
             table.append([name, contender, *(mean_and_largest(errors.get(budget)) for budget in budgets)])
-    note = "Mean error, and in brackets the largest, over all free points; *: the method leaves some points out."
+    note = "Mean error, and in brackets the largest, over random free points; *: the method leaves some points out."
     return markdown(table, numbers=len(budgets)) + f"\n{note}\n"
 
 
@@ -165,8 +165,8 @@ def proofs(results: dict[str, Any], oracles: dict[str, Any]) -> str:
         f"\nMeans over {sizes['points']:,} free points. Exact: share of points whose error is at most "
         f"{sizes['exact']:.0e} of the largest distance. Seconds: from polygons to the certified PLR. The proven "
         f"largest error is at most {worst:.3f} times the measured one. The corners of the maps, as 16-bit numbers, "
-        f"take {of_maps} bytes, mostly less than these files. In return, queries of the files need no visibility "
-        "tests, and the files prove errors and give paths to the goal.\n"
+        f"take {of_maps} bytes, less than any of their files here. In return, queries of the files need no "
+        "visibility tests, and the files prove errors and give paths to the goal.\n"
     )
 
 
@@ -207,10 +207,11 @@ def proof_checks(results: dict[str, Any]) -> str:
         "Half of the points are uniform, half lie beside walls, corners and borders of cells. The brute-force truth "
         "shares no code with the package. "
         f"{sum(row['by_tolerance'] for row in chain.from_iterable(groups.values()))} points that reach the goal only "
-        "through gaps below the workspace's tolerance are outside the bounds. "
+        "within the workspace's tolerance, not exactly, are outside the bounds. "
         f"{len(slivers['refused'])} of {len(slivers['totals']) * slivers['num_maps']} PLRs of random maps could not "
         f"be built. In {searches(', lower', 'problems'):,} A* searches on grids with proven lower bounds as the "
-        f"heuristic, {searches(', lower', 'not_optimal')} paths were not optimal; with the PLRs' estimates "
+        f"heuristic, {searches(', lower', 'not_optimal')} paths were not optimal; of "
+        f"{searches(' itself', 'problems'):,} with the PLRs' estimates, "
         f"{searches(' itself', 'not_optimal')} were not."
     )
     return markdown(rows, numbers=2) + f"\n{note}\n"
@@ -261,8 +262,8 @@ def solve_bodies(results: dict[str, Any]) -> str:
     parts = [
         f"Errors and gaps are shares of the mean cost-to-go. Ours are measured at {results['points']:,} random free "
         "configurations with a path to the goal, roadmaps at their samples. The rectangle's grid has 48 "
-        "directions in "
-        "the plane, so its paths are up to 0.75 % too long. All methods use the same collision tests."
+        "directions in the plane: in the open and without turns, its paths are up to 0.76 % too long, elsewhere "
+        "they may be longer. All methods use the same collision tests."
     ]
     for name, grid in results["grids"].items():
         sizes, half = (" x ".join(map(str, grid[which])) for which in ("sizes", "half"))

@@ -71,12 +71,12 @@ def overview(
             f"{pairs['bytes']:,} bytes, {pairs['mean']:.1g}, {pairs['nanoseconds']:,.0f} ns",
             f"polygons and exact search {polygon['bytes']:,} bytes, exact, {polygon['nanoseconds']:,.0f} ns; "
             f"best approximation {network['mean']:.1g}, {network['nanoseconds']:,.0f} ns",
-            "**ours** in time among exact ones; polygons in bytes; an approximation is as fast",
+            "**ours** in time among exact ones; polygons in bytes; approximations in time",
             "[all pairs](#all-pairs)",
         ],
         [
-            f"costs that vary, {len({row['map'] for row in estimates})} fields: mean error of as many leaves "
-            "as nodes",
+            f"costs that vary, {len({row['map'] for row in estimates})} fields: mean error of about as many "
+            "leaves as nodes",
             "1",
             f"scikit-fmm {1 / max(ratios):.1f} to {1 / min(ratios):.0f}",
             f"**ours** for each stored number, by a finer march; scikit-fmm in time, {two_digits(slower)} times. In "
@@ -86,15 +86,15 @@ def overview(
         ],
         [
             "distances after a map change, den520d",
-            f"any point, exact: {changes['with_workspace']['ms']:.0f} ms; "
+            f"any point, exact: {changes['with_workspace']['ms']:.0f} ms after the workspace's own change; "
             f"a new file, proven: {changes['built anew']['ms']:,.0f} ms",
-            f"LPA*, one path: {changes['LPA*']['ms']:.0f} ms; "
+            f"D* Lite, one path: {changes['D* Lite']['ms']:.0f} ms; "
             f"scikit-fmm, all cells: {changes['scikit-fmm']['ms']:.1f} ms",
-            "LPA* for one path, scikit-fmm for cells, **ours** for any point",
+            "about equal for one path; scikit-fmm for cells; **ours** for any point",
             "[living.json](results/living.json)",
         ],
         [
-            "4-connected distances inside `jit`, mazes of 11 x 11, levels a CPU second",
+            "4-connected distances inside `jit`, levels of 11 x 11 cells a CPU second",
             f"to one goal {levels['moves=4, all cells']:,.0f}; all pairs "
             f"{levels['moves=4, all pairs of cells']:,.0f}",
             f"JaxNav, one pair {levels['JaxNav dikstra_path, one pair']:,.0f}; "

@@ -28,7 +28,8 @@ def one_goal(results: dict[str, Any]) -> str:
     times = [f"{row['microseconds'][alone] / planes['NumPy'][alone]:,.0f} times {by}" for by, row in roadmap.items()]
     tree = next(row["microseconds"] for by, row in roadmap.items() if by.startswith("tree"))
     return _queries(results, "goal") + (
-        f"\nMedians, on {results['points']:,} free points. C answers point after point, so its batches are loops. "
+        f"\nTimes are medians; errors are of {results['points']:,} free points. C answers point after point, so its "
+        "batches are loops. "
         "With 10,000 vertices and the nearest vertex, a query alone takes, beside the planes in NumPy: "
         f"{', '.join(times)}. In batches of {int(batch):,}, the tree takes {tree[batch] / planes['JAX'][batch]:,.0f} "
         f"times the planes in JAX. A tree's bytes are vertices and distances, without its k-d tree.\n"

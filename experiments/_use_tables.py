@@ -127,7 +127,7 @@ def teams(results: dict[str, Any]) -> str:
         limit = section.get("time_limit")
         for row in section["rows"]:
             name, largest = (
-                f"{row['scene']}, improved for {limit:g} s" if limit else row["scene"],
+                f"{row['scene']}, improved for up to {limit:g} s" if limit else row["scene"],
                 row.get("largest", {}),
             )
             cells = [f"{row['robots']}", f"{row['failures']}/{row['runs']}"]
@@ -319,5 +319,5 @@ def pedestrians(results: dict[str, Any], hard_points: dict[str, Any]) -> str:
         f"{results['routes']['queries']:,} in a call. Evacuations: means of {len(runs['cones'])} "
         f"crowds of {runs['agents']} agents, to the same exits. Cones of "
         f"{results['cones']['max_bytes']:,} bytes: {'; '.join(notes)}. Bounds of pairs and of cones at {asked:,} "
-        f"random points and points beside walls (`hard_points`): {broken} broken.\n"
+        f"pairs of random points, and of points beside walls (`hard_points`): {broken} broken.\n"
     )

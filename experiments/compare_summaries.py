@@ -1,9 +1,9 @@
 """Files that hold all distances of a map, at equal bytes: ours, and whatever else tells the distance of two points.
 
 Every section is a rival on a map, written as soon as it is measured; ``--only arena_network`` measures it again and
-keeps the others as they are. What a rival does is told in its file in ``experiments/summaries/``. All are given exact
-distances as often as they ask, and as many settings as their file says, of which the best is chosen on pairs that are
-neither those of training nor those of the test. The test pairs are the same for all
+keeps the others as they are. What a rival does is told in its file in ``experiments/summaries/``, or below. All are
+given exact distances as often as they ask, and as many settings as their file says, of which the best is chosen on
+pairs that are neither those of training nor those of the test. The test pairs are the same for all
 (``experiments/summaries/_given.py``).
 """
 

@@ -1,9 +1,10 @@
-"""Cost distance over rasters beside the tools of GIS: errors, seconds, memory.
+"""Cost distance over rasters beside other tools: errors, seconds, memory.
 
 Rasters of 400 x 400 cells: smooth costs, classes of land, an expensive river of one cell with a ford, a cheap road of
 one cell. Marches of scikit-fmm err in proportion to their step where costs jump. So the truth is extrapolated from
 marches over eight and four times as many nodes along each axis. ``halved`` is its distance from what half as many
-give: how far the truth is off. Rivals get the same cells: scikit-image ``MCP_Geometric``, xarray-spatial, scikit-fmm.
+give: how far the truth is off. Rivals get the same cells: scikit-image ``MCP_Geometric``, scikit-fmm and, where it is
+installed, xarray-spatial.
 
 ``mountain``: seconds of a hiker by Tobler's function, there and back, beside a raster three times finer. ``large``:
 10,000 x 10,000 cells.

@@ -6,10 +6,10 @@ in space, beside scikit-fmm over the cells of the raster, of which the PLR has a
 Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. Errors of fast marching are
 proportional to the step. So the truth is extrapolated from marches of 3,201 x 1,601 nodes and of half as many along
 each axis; how far it may be off is told by the truth from half and a quarter as many. In ``estimates``, scikit-fmm
-gets a regular grid of about as many nodes as the PLR has cells, and is interpolated between them. In
-``equal_seconds``, the PLR has 8 KB, and scikit-fmm the largest grid that it marches in as many seconds, or two grids
-for extrapolation. Seconds are of all cores, compiled before; of scikit-fmm those of the march alone, of a PLR those
-of ``solve_eikonal``, which asks costs and space too.
+gets a regular grid of about as many nodes as the PLR has cells (up to a third more, as nodes lie on the walls), and
+is interpolated between them. In ``equal_seconds``, the PLR has 8 KB, and scikit-fmm the largest grid that it marches
+in as many seconds, or two grids for extrapolation. Seconds are of all cores, compiled before; of scikit-fmm those of
+the march alone, of a PLR those of ``solve_eikonal``, which asks costs and space too.
 """
 
 from collections.abc import Callable

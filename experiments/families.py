@@ -1,4 +1,4 @@
-"""A thousand goals at once: seconds from oracles to PLRs, errors beside those built alone, and stacks of PLRs.
+"""A thousand goals and more at once: seconds from oracles to PLRs, errors beside those built alone, stacks of PLRs.
 
 On each map: goals drawn from free space, oracles of one workspace, all PLRs by ``construct_many`` in processes, one a
 core, whose start counts; some goals again by ``construct``, for its time and errors. And pairs of an index and a

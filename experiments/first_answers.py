@@ -1,8 +1,8 @@
 """CPU seconds of a new process from its start to its first answers, beside other libraries; and other small costs.
 
-``fresh``: each task runs in a Python process of its own, which imports, compiles, builds and answers 1,000 queries.
-``certified``: construction with a proof beside construction without. ``one_query``: one exact distance a call.
-``pair_queries``: batches of pairs on large maps. All seconds are user and system time of all cores.
+``fresh``: each task runs in a Python process of its own, which imports, compiles, builds and answers. ``certified``:
+construction with a proof beside construction without. ``one_query``: one exact distance a call. ``pair_queries``:
+batches of pairs on large maps. All seconds are user and system time of all cores.
 
 The Python of an environment that ``PLR_JAX_EXACT_RIVALS`` names runs pyvisgraph and extremitypathfinder; see
 ``benchmarks/_exact_rivals.py``.

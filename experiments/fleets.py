@@ -3,8 +3,9 @@
 Two grids are made, of game terrain like that of the League of Robot Runners: 96,603 free cells in 656 x 1,491, narrow
 passages, and 2,217,759 in 1,912 x 1,800, open land. Where ``PLR_JAX_FLEET_MAPS`` names a folder with maps of its
 start kit, these are measured as well. The rival is a table for each goal, of 4 bytes a cell. Wrong is what differs
-from a search, among random pairs and among pairs of cells at most 40 rows and columns apart. Seconds are those of
-processors, a process for each grid, whose memory is the most that it took until the pairs were built.
+from a search (of 8-connected lengths, by more than a millionth), among random pairs and among pairs of cells at most
+40 rows and columns apart. Seconds are those of processors, and of windows also elapsed, a process for each grid,
+whose memory is the most that it took until the pairs were built.
 """
 
 import ctypes

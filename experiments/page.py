@@ -1,4 +1,4 @@
-"""Distance functions in JavaScript: their bits and speed in Node and Chromium, and pages, small, quick and robust."""
+"""Distance functions in JavaScript: bits and speed in Node and Chromium; pages: bytes, redraws, damaged files."""
 
 import re
 import sys

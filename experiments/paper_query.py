@@ -2,8 +2,9 @@
 
 A roadmap joins a point to the nearest vertex that it sees, or to all visible vertices within the PRM* radius. Then A*
 of NetworkX, guided by the straight line, or Dijkstra's algorithm of SciPy finds the way. SciPy's search starts at the
-goal, which takes as long as a search from the point. A *tree* stores one such search, so that a query only looks up a
-vertex and tests walls. Pairs that see each other are answered by the straight line. The visibility graph is exact.
+goal, which takes about as long as a search from the point. A *tree* stores one such search, so that a query only
+looks up a vertex and tests walls. Pairs that see each other are answered by the straight line. The visibility graph
+is exact.
 """
 
 import math

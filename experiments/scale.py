@@ -1,8 +1,8 @@
-"""Many cores and machines: the files of a fleet's goals do not depend on who builds them, nor on killed workers.
+"""Many cores: whether the files of a fleet's goals depend on who builds them, or on killed workers.
 
 A row of the table is one ``construct_many`` of the same oracles by workers of a kind, and whether all files are those
-of one thread. A worker of the last rows, whose leaves are planes, is killed half-way.
-Seconds are with the start of the workers, on two shared cores: they say nothing of what more cores gain.
+of one thread. A worker of the last rows, whose leaves are planes, is killed half-way. Seconds are with the start of
+the workers, on two shared cores: they say nothing of what more cores gain.
 """
 
 import os

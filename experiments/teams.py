@@ -1,9 +1,9 @@
-"""Teams large and small, planned by ``bl_plan``, mostly without a heuristic: how soon, how well, within what limits.
+"""Teams large and small, planned by ``bl_plan`` without a heuristic: how soon, how well, within what limits.
 
 Costs are over the sum of what each robot's shortest path costs if it is alone, as exact oracles say. Before a team is
-timed, another one is planned in the same workspace, so that nothing is imported or compiled on the way, and the map
-is known, but no starts and goals; a section that does otherwise says so. Every section is written as soon as it is
-measured; ``--only SECTION`` measures sections again and keeps the others as they are.
+timed, the team is planned on its way back, so that nothing is imported or compiled on the way, and the map is known;
+a section that does otherwise says so. Every section is written as soon as it is measured; ``--only SECTION`` measures
+sections again and keeps the others as they are.
 """
 
 import os

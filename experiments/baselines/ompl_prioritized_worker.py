@@ -13,10 +13,10 @@ From then on, robots are planned for again, each among all others, and their pat
 another order begins. Replanned robots depart and arrive at random times and rest before and after, where they can:
 without that, all would be on their way, and in each other's, all the time.
 
-OMPL's distance in space and time, infinite where a robot would be too slow, guides RRT-Connect, with motions of at
-most a fifth of the bounds' longer side. Paths are simplified in the product of the plane and the time, with nearly
-all weight on the plane, as OMPL's simplifier needs a metric. A whole motion is tested at once by compiled code,
-exactly.
+OMPL's distance in space and time, infinite where a robot would be too slow, guides RRT-Connect, with motions whose
+mean of length and duration is at most a fifth of the bounds' longer side. Paths are simplified in the product of the
+plane and the time, with nearly all weight on the plane, as OMPL's simplifier needs a metric. A whole motion is tested
+at once by compiled code, exactly.
 
 References:
     Erdmann, Lozano-Pérez: On multiple moving objects. Algorithmica 2, 1987.

@@ -1,4 +1,4 @@
-"""Exact distances among polygons: preprocessing, microseconds a point and bytes, on maps of 28 to 4,000 vertices.
+"""Exact distances among polygons: preprocessing and microseconds a point, on maps of 28 to 4,004 vertices.
 
 Preprocessing begins with the rings of free space, so that each run has a workspace of its own: a workspace keeps what
 it has found once. It is reported in two parts, the workspace and the visibility graph of it, each the median of three
@@ -6,10 +6,9 @@ runs, fewer where they take long. A batch holds random free points, and goals ar
 
 The rivals answer one point a call, and are run by another Python, which the environment variable
 ``PLR_JAX_EXACT_RIVALS`` names (:mod:`experiments.benchmarks._exact_rivals` says what it needs). Both let a path pass
-between obstacles that touch in one point, which ours does not, and extremitypathfinder crashes on some such maps. So
-where there are any, the rivals' obstacles are grown a little and overlap. pyvisgraph knows no outer boundary: what
-is not free is given to it as obstacles, with a frame around the map that is slit open to be a polygon without holes;
-the slit leads nowhere.
+between obstacles that touch in one point, which ours does not. So where there are any, the rivals' obstacles are
+grown a little and overlap. pyvisgraph knows no outer boundary: what is not free is given to it as obstacles, with a
+frame around the map that is slit open to be a polygon without holes; the slit leads nowhere.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""Time of a PLR's query over dimensions, leaves and points.
+"""Time of a query: a PLR's over dimensions, leaves and points, and that of contenders on the maze.
 
-The function is the distance to a point off the center of the unit cube (a cone).
+Over dimensions, the function is the distance to a point off the center of the unit cube (a cone).
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """JuPedSim (package ``jupedsim``) with agents that walk where a PLR of cones says.
 
 ``evacuate(area, exits, starts, is_steered=True)`` sets the targets of all agents every 0.1 s. Paths keep the agents'
-radius from walls, and have sharp corners: round ones take more bytes, and agents get stuck at them.
+radius from walls, and have sharp corners.
 """
 
 from collections.abc import Sequence

@@ -6,12 +6,11 @@ an upper bound, the mean gap there, and the mean difference of the PLR to the gr
 
 The grid is several times finer an axis than a uniform one of as many cells. Of the rectangle, whose cost is no
 Euclidean length, it is searched by Dijkstra's algorithm: 48 directions in the plane, turns by a cell, both at once to
-the eight nearest, all tested as motions. Its way is never shorter than the best one, up to 0.75 % longer where that
-is in between the directions, and longer where a passage fits cells badly. Of the arm it is marched over (scikit-fmm,
-second order, all axes periodic). How far a grid half as fine is from it is told.
+the eight nearest, all tested as motions. Its way is never shorter than the best one. In the open and without turns,
+it is up to 0.76 % longer, where the best one is in between the directions; elsewhere it may be longer. Of the arm it
+is marched over (scikit-fmm, second order, all axes periodic). How far a grid half as fine is from it is told.
 
-PRM* gets more and more samples; judged are their own costs. The tests of freedom at our mean error are read off
-between its sizes, both logarithmic; ``>``: the largest of them errs more than ours.
+PRM* gets more and more samples; judged are their own costs.
 """
 
 import time

@@ -3,7 +3,7 @@
 The window is 50 by 50 turning radii, all headings, the goal in its middle. PLRs are built by ``construct`` of
 continuous leaves. The table is that of a planner for a car of 0.4 m turning radius: cells of 5 cm over 20 m by 10 m,
 the half that reflection leaves, and 72 headings, in float32. Planners take the nearest cell; interpolated, the same
-table is far more accurate. Errors are means over random poses, in turning radii. Closed forms and tables are
+table has a far smaller mean error. Errors are means over random poses, in turning radii. Closed forms and tables are
 interpreted by NumPy in float64, PLRs compiled in float32.
 """
 

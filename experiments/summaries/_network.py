@@ -2,9 +2,7 @@
 
 Both points, as coordinates and as sines and cosines of four octaves, go through one encoder; from the sum and the
 difference of what comes out, and the straight line, a second part tells the detour. Weights are kept as 16-bit
-floats.
-Adam with a cosine schedule minimizes Huber's loss over the training pairs: of the mean error alone, answering the
-straight line is a minimum that it does not leave on maps where most pairs see each other.
+floats. Adam with a cosine schedule minimizes Huber's loss over the training pairs.
 """
 
 from typing import Any
