@@ -32,8 +32,8 @@ print(distance[:3], graph.between(x[:3], y[:3]))  # from each point of x to the 
 ```
 
 `prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget does not make queries more exact. The workspace may
-have at most 8,192 reflex corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end: see
-`plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
+have at most 8,192 reflex corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end:
+see `plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
 
 # On a grid
 

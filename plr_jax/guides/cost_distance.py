@@ -1,8 +1,8 @@
 """Guide: cost distance over rasters, for GIS: travel times to the nearest of several sources, and catchments.
 
-`plr_jax.cost_distance` takes a raster of costs per unit of length, and sources. In our experiments, its mean errors are
-0.03 to 0.2 % of the mean distance, with heights 0.5 to 0.6 %. Shortest paths over 8 neighbors are 3 to 5 % too long on
-average, and favor some directions.
+`plr_jax.cost_distance` takes a raster of costs per unit of length, and sources. In our experiments, its mean errors
+are 0.03 to 0.2 % of the mean distance, with heights 0.5 to 0.6 %. Shortest paths over 8 neighbors are 3 to 5 % too
+long on average, and favor some directions.
 
 ```python
 import numpy as np
@@ -21,8 +21,8 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 `distance` is `inf` and `nearest` is -1.
 
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
-- Rasters of up to 2 million cells take kilobytes of memory a cell. Larger rasters take about 100 bytes a cell, and have
-  the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
+- Rasters of up to 2 million cells take kilobytes of memory a cell. Larger rasters take about 100 bytes a cell, and
+  have the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
 # A least-cost path
 

@@ -23,10 +23,10 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 
 A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads pictures, ROS `map_server` YAML,
 GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
-`Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows obstacles,
-with polygons inscribed in the arcs of the round corners, so distances are never too long. With `outside=True`, the
-polygons lie around the arcs, so paths keep the radius, up to rounding. `plr_jax.scenes` has ready-made maps. The domain
-of a PLR is a `plr_jax.Box` of any dimension, and may be periodic along some axes.
+`Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
+obstacles, with polygons inscribed in the arcs of the round corners, so distances are never too long. With
+`outside=True`, the polygons lie around the arcs, so paths keep the radius, up to rounding. `plr_jax.scenes` has
+ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may be periodic along some axes.
 
 # Oracles
 

@@ -46,10 +46,10 @@ valid, how close robots come to obstacles and to one another, and what the first
 
 # Heuristics, bounds and better paths
 
-Without a heuristic, the planner uses each robot's cost-to-go along its lattice. In our experiments, no other heuristic
-had paths that cost more than 1 % less. The lower bound, `solution.lower_bound`, is then the length of straight lines.
-For robots that do not turn, the sum of their exact distances is a better lower bound, `plr_jax.exact_lower_bound`, also
-for a path that you already have:
+Without a heuristic, the planner uses each robot's cost-to-go along its lattice. In our experiments, the paths of
+other heuristics cost at most 1 % less. The lower bound, `solution.lower_bound`, is then the length of straight
+lines. For robots that do not turn, the sum of their exact distances is a better lower bound,
+`plr_jax.exact_lower_bound`, also for a path that you already have:
 
 ```python
 bound = plr_jax.exact_lower_bound(problem)
@@ -83,8 +83,8 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 # Under way
 
 `plr_jax.replan` plans again for robots whose goals have changed or whose paths are blocked, and for robots in their
-way. If that fails, it plans for the whole team. The other robots pass the same points as before, but at other times. So
-all robots must switch to the new path.
+way. If that fails, it plans for the whole team. The other robots pass the same points as before, but at other times.
+So all robots must switch to the new path.
 
 ```python
 import numpy as np
