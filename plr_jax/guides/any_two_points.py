@@ -3,7 +3,7 @@
 | what changes | use | answer |
 | --- | --- | --- |
 | both points, among polygons | `plr_jax.construct_pairs` | within 4e-7 of the map's width, except beside walls |
-| both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
+| both cells of a grid | `plr_jax.construct_grid_pairs` | exact length of a shortest grid path |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
 | a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | by one PLR for each goal |
 | the nearest of several goals | `plr_jax.NearestGoal` | as exact as its oracles |
@@ -31,9 +31,9 @@ print(plr(x[:3]), graph(x[:3]))  # to y[0]
 print(distance[:3], graph.between(x[:3], y[:3]))  # from each point of x to the point of y in the same row
 ```
 
-`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget does not make queries more exact. The workspace
-may have at most 8,192 corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end: see
-`plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
+`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget does not make queries more exact. The workspace may
+have at most 8,192 reflex corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end:
+see `plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
 
 # On a grid
 
@@ -73,7 +73,7 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 # A list of goals
 
 Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, with
-mostly smaller mean errors than those of `construct`; with `certified=True`, proven errors are mostly smaller, too.
+mostly smaller mean errors than those of `construct`. With `certified=True`, proven errors are mostly smaller instead.
 `plr_jax.stack` combines PLRs into one function, a `plr_jax.PLRStack`.
 
 ```python

@@ -57,12 +57,12 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 
 ## Small machines
 
-In the plane, these tables of a file of 4 KB take about 4 (planes), 7 (cones), 15 (continuous) or 45 (smooth)
+In the plane, code and tables of a file of 4 KB take about 4 (planes), 6 to 8 (cones), 15 (continuous) or 44 (smooth)
 times its bytes. `plr.c_header("maze", compact=True)`, or `plr-jax export --compact`, writes the same functions with
 less memory. Instead of tables, this header has a decoder, shared by all compact headers in a program, and bytes:
-about 1.2 (planes), 2 to 2.5 (cones, continuous) or 3 (smooth) times those of a file of 4 KB. The decoder takes 1 to
-4 KB of code and 1 KB of stack. A query takes 0.07 to 0.2 microseconds on a PC; smooth leaves need several KB of stack
-and 2 microseconds. The decoder can also query bytes that a robot receives. If `plr_jax_open` accepts damaged bytes,
+about 1.25 (planes), 2 to 2.5 (cones, continuous) or 3 (smooth) times those of a file of 4 KB. The decoder takes 1 to
+4 KB of code and up to 1 KB of stack. A query takes 0.07 to 0.2 microseconds on a PC; smooth leaves need 4 KB of stack
+and 1.7 microseconds. The decoder can also query bytes that a robot receives. If `plr_jax_open` accepts damaged bytes,
 answers may be wrong, but no query reads outside of them. Planes and smooth leaves are computed in double precision.
 
 ```c

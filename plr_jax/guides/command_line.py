@@ -21,9 +21,10 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 
 - `build MAP` computes the exact distance to a goal and compresses it. `MAP` is one of the scenes `maze`, `thin_maze`
   and `floor_plan`, or a file: a picture, YAML of `map_server`, GeoJSON, WKT, a Moving AI grid, polygons or a scene in
-  JSON. A file needs `--goal X,Y`; several of them give the distance to the nearest, for example to exits. The output
-  has proven bounds; `--leaf-bounds` proves tighter ones for each leaf. `--leaf best`, the default, chooses a leaf
-  model. `--max-bytes` limits the file; for a small largest error, give `--tolerance` instead.
+  JSON. A file needs `--goal X,Y`, unless it is a scene of one robot; several goals give the distance to the nearest,
+  for example to exits. The output has proven bounds; `--leaf-bounds` proves tighter ones for each leaf.
+  `--leaf best`, the default, chooses a leaf model. `--max-bytes` limits the file; for a small largest error, give
+  `--tolerance` instead.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
 - `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` is standard input. A point outside the
   domain gets `inf`, a line that is no point gets `nan` and a warning. `--bounds` adds proven bounds, and `--which`

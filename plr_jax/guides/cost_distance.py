@@ -1,7 +1,8 @@
 """Guide: cost distance over rasters, for GIS: travel times to the nearest of several sources, and catchments.
 
-`plr_jax.cost_distance` takes a raster of costs per unit of length, and sources. On average, its distances are about
-0.1 % above the least cost. Shortest paths over 8 neighbors are 3 to 5 % too long, and favor some directions.
+`plr_jax.cost_distance` takes a raster of costs per unit of length, and sources. In our experiments, its mean errors
+are 0.03 to 0.2 % of the mean distance, with heights 0.5 to 0.6 %. Shortest paths over 8 neighbors are 3 to 5 % too
+long on average, and favor some directions.
 
 ```python
 import numpy as np
@@ -39,8 +40,8 @@ print(result.path(village))  # vertices (n, 2)
 
 `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
 `upper` is the distance, rounded up, so only `lower` adds information. The bounds are on average 2 to 4 % of the
-distance apart in our experiments. Near sources they are far apart, and may be so if costs of neighbors differ by a
-factor of 100 or more.
+mean distance apart in our experiments. Near sources they are far apart, and may be so if costs of neighbors differ by
+a factor of 100 or more.
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)

@@ -25,9 +25,8 @@ A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` read
 GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
 `Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
 obstacles, with polygons inscribed in the arcs of the round corners, so distances are never too long. With
-`outside=True`, the polygons lie around the arcs, so paths never come too close.
-`plr_jax.scenes` has ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may be periodic
-along some axes.
+`outside=True`, the polygons lie around the arcs, so paths keep the radius, up to rounding. `plr_jax.scenes` has
+ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may be periodic along some axes.
 
 # Oracles
 
@@ -62,7 +61,8 @@ print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
 `plr_jax.construct` stops at the first limit that is reached: `max_bytes`, `max_leaves`, `max_depth`, or `tolerance`,
 the largest error in a cell. Leaves:
 
-- `"cone"`: the length of paths by way of one corner, exact in most cells. Only among polygons; 3 to 7 bytes a corner.
+- `"cone"`: the length of paths by way of one corner, exact in most cells. Only among polygons. Each corner takes about
+  3 to 7 bytes in the file.
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.

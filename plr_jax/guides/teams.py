@@ -41,14 +41,15 @@ one after the other, it has a path at once, and searches only three lattices for
 one may still exist. Robots change speed and direction at once. A `plr_jax.Solution` has a `plr_jax.Status`, which
 says why the search ended, and `plr_jax.Stats`.
 
-`plr_jax.validate` shares no geometry with the planner. Its `plr_jax.ValidationReport` says whether a path is valid,
-how close robots come to obstacles and to one another, and what the first violation is.
+`plr_jax.validate` shares no collision test with the planner. Its `plr_jax.ValidationReport` says whether a path is
+valid, how close robots come to obstacles and to one another, and what the first violation is.
 
 # Heuristics, bounds and better paths
 
-Without a heuristic, the planner uses each robot's cost-to-go along its lattice, which is best for most problems. The
-lower bound, `solution.lower_bound`, is then the length of straight lines. The sum of the robots' exact distances is a
-better lower bound, `plr_jax.exact_lower_bound`, also for a path that you already have:
+Without a heuristic, the planner uses each robot's cost-to-go along its lattice. In our experiments, the paths of
+other heuristics cost at most 1 % less. The lower bound, `solution.lower_bound`, is then the length of straight
+lines. For robots that do not turn, the sum of their exact distances is a better lower bound,
+`plr_jax.exact_lower_bound`, also for a path that you already have:
 
 ```python
 bound = plr_jax.exact_lower_bound(problem)
@@ -82,8 +83,8 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 # Under way
 
 `plr_jax.replan` plans again for robots whose goals have changed or whose paths are blocked, and for robots in their
-way. If these are too many, it plans for the whole team. The other robots pass the same points as before, but at other
-times. So all robots must switch to the new path.
+way. If that fails, it plans for the whole team. The other robots pass the same points as before, but at other times.
+So all robots must switch to the new path.
 
 ```python
 import numpy as np
