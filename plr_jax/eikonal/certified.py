@@ -244,9 +244,8 @@ def _above_voxel_paths(
     above = np.full(len(cells), -np.inf)
     for batch in parts(counts.prod(axis=1), _PAIRS_AT_ONCE):
         leaf, voxel = enumerate_boxes(first[batch], counts[batch])
-        leaf = leaf + batch.start
         is_free = grid.padded[tuple(voxel.T)]
-        leaf, voxel = leaf[is_free], voxel[is_free]
+        leaf, voxel = leaf[is_free] + batch.start, voxel[is_free]
         at = np.ldexp((voxel - 0.5) / space.free.shape, cells.depth[leaf]) - cells.position[leaf]
         function = np.sum(basis(1, np.clip(at, 0.0, 1.0)) * coefficients[leaf], axis=1)
         np.maximum.at(above, leaf, lengths[tuple(voxel.T)] - function)

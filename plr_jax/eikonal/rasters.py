@@ -173,14 +173,13 @@ def cost_distance(
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
     # If both are a DataArray, they must have equal dimensions and coordinates.
-    if not (is_data_array(raster) and is_data_array(costs)):
-        return
-    pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
-    if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
-        raise ValueError(
-            f"{name} must have the dimensions {costs.dims} and coordinates of costs, got other ones: use "
-            "reindex_like(costs) or interp_like(costs)."
-        )
+    if is_data_array(raster) and is_data_array(costs):
+        pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
+        if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
+            raise ValueError(
+                f"{name} must have the dimensions {costs.dims} and coordinates of costs, got other ones: use "
+                "reindex_like(costs) or interp_like(costs)."
+            )
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
