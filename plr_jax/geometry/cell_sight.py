@@ -42,8 +42,8 @@ class Shadows:
                              /                    | wall  points below it, behind the obstacle.
                    obstacle /                     |
 
-    A shadow leads from the nearer to the farther one of the walls seen on both sides of the ray. It starts at the
-    viewpoint if this does not look to one side of the ray.
+    On either side of the ray, the viewpoint sees another wall. The shadow leads along the ray from the nearer wall to
+    the farther one. If the viewpoint does not look to one side of the ray, the shadow starts at the viewpoint.
     """
 
     table: VisibilityTable

@@ -322,8 +322,9 @@ class Workspace:
         more. A passage between corners, even if a little narrower than the disc, may stay open.
 
         If ``outside``, round corners become polygons around their arcs, so that paths in the workspace keep the
-        radius from all obstacles, up to rounding: they are too long by at most twice as much. A corner may keep paths
-        at up to 1.09 radii, so a passage between corners that is hardly wider than the disc may be closed.
+        radius from all obstacles, up to rounding. A path around one corner is too long by at most twice the error
+        above. The polygon around a corner reaches up to 1.09 radii from the corner, so a passage between corners that
+        is hardly wider than the disc may be closed.
 
         A straight passage exactly as wide as the disc is closed. ``ValueError`` if the radius is negative or not
         finite, or nothing stays free.

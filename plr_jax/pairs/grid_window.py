@@ -114,7 +114,10 @@ def _lengths_of_rim(
 
 
 def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
-    """Look up the path lengths from the wanted cells of rims to the goals; other lengths stay."""
+    """Return ``lengths`` with the entries of ``is_wanted`` replaced by path lengths from the tables.
+
+    They lead from a cell on the rim (border) of each agent's window to the agent's goal.
+    """
     # 1. List the wanted cells agent by agent: a wanted cell comes after those of agents before, and those before it
     #    on its own rim. `count` has the number of each agent's wanted cells, `until` that up to each cell. Cells are
     #    numbered in the order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.

@@ -154,7 +154,10 @@ def _bounds_to_leaves(
     halves: Float[np.ndarray, "rows 2"],
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
-    """Return `PairTables.onward`: bounds of path lengths from each corner to points of each leaf."""
+    """Return `PairTables.onward`: lower bounds of path lengths from each corner to points of each leaf.
+
+    For each leaf and corner, the bound is a plane over the leaf, packed in 32 bits.
+    """
     # Fix a corner a and a leaf, whose box has the middle m and the half widths h. The path from a over the listed
     # corner k to a point x has the length d_k + |x - k|, with the distance d_k between a and k. It is convex in x, so
     # at least

@@ -293,9 +293,10 @@ class Sampler:
         return fit
 
     def first_cells(self, most: int) -> CellFit:
-        """Sample the domain as one cell, and halve urgent cells, largest first, up to ``most`` cells.
+        """Sample the domain as one cell. Then halve *urgent* cells, whose samples do not show their error.
 
-        ``ValueError`` if no sample of these cells reaches the goal.
+        Halve the largest urgent cells (see :attr:`CellFit.urgent_axis`) first, until no cell is urgent or there are
+        ``most`` cells. ``ValueError`` if no sample of these cells reaches the goal.
         """
         fit = self.root()
         while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):

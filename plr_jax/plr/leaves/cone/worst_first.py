@@ -79,7 +79,10 @@ class _GoalTree:
         return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
 
     def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
-        """Return the leaves of the tree with the first splits, from left to right, as indices of ``nodes``."""
+        """Return the leaves of the tree with only the first ``num_splits`` splits, in the order of decreasing keys.
+
+        Leaves are indices of ``nodes``, from left to right.
+        """
         leaf = np.flatnonzero((self._split_rank >= num_splits) & (self._made_by < num_splits))
         return leaf[np.argsort(self.nodes.path[leaf])]
 
