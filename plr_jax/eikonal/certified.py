@@ -93,7 +93,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     corners = corner_bits(mesh.dim)
     # 1. Rows (leaf, held_in, bounded_by): a point of the leaf in the cell `held_in` has the bounds of the open cell
     #    `bounded_by`. This is the same cell or, for a flush blocked cell, each open cell beside it. A blocked cell is
-    #    *flush* (see :class:`Mesh`) if it borders on free space: rounding may then place free points in the cell.
+    #    *flush* (see :class:`Mesh`) if it borders on space that is not blocked: rounding may then place free points
+    #    in the cell.
     #
     #      +------+------+
     #      |  A   |## B #|    Leaf L meets the open cell A and the flush blocked cell B (#) beside A. Its rows are

@@ -138,10 +138,13 @@ class TurnPoints:
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
         """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
-        #   left side \      / right side    The inward normal of the right side is the vector along it, turned left;
-        #              \cone/                of the left side, turned right. A cone is narrower than half the plane, so
-        #               \  /                 the right side's normal is counterclockwise of the left side's normal. So
-        #                c                   if cross(first, second) >= 0, `second` belongs to the right side.
+        #     left side \      / right side
+        #                \cone/
+        #                 \  /
+        #                  c
+        # The inward normal of the right side is the vector along this side, turned left; the inward normal of the left
+        # side is turned right. A cone is narrower than half the plane, so the right side's normal is counterclockwise
+        # of the left side's normal: if cross(first, second) >= 0, `second` belongs to the right side.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))

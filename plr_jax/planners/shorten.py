@@ -73,13 +73,13 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, " robots"]]:
-    """Return the rows of the cheapest route of robot ``i`` by shortcuts, and which robots blocked a shortcut.
+    """Return the rows of robot ``i``'s cheapest route by motions and shortcuts, and which robots blocked a shortcut.
 
     Each motion or shortcut leads from a row in ``begin`` to a row in ``end``.
     """
-    # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends at a contact of walls (but at the
-    #    ends of the path): there, the path's own motions fix the side on which it passes. A shortcut may skip such a
-    #    row.
+    # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends in a row at a contact of walls, as
+    #    there the path's own motions fix the side on which it passes; except at the ends of the path. A shortcut may
+    #    skip such a row.
     q = trajectory.path[:, i]
     is_motion = end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
