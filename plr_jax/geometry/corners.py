@@ -142,9 +142,9 @@ class TurnPoints:
         #                \cone/
         #                 \  /
         #                  c
-        # The inward normal of the right side is the vector along this side, turned left; the inward normal of the left
-        # side is turned right. A cone is narrower than half the plane, so the right side's normal is counterclockwise
-        # of the left side's normal: if cross(first, second) >= 0, `second` belongs to the right side.
+        # The inward normal of the right side is the vector along this side, turned left; that of the left side is
+        # turned right. A cone is narrower than half the plane, so the right side's normal is counterclockwise of the
+        # left side's normal: if cross(first, second) >= 0, `second` belongs to the right side.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
