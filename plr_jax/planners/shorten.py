@@ -146,9 +146,9 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
     """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch.
 
-    After each group, the caller may move the group's robots in these rows of ``path``, in place. The pairs that follow
-    are those of the changed path: once robot i has moved, `touch` is computed again. (If only robot j has moved,
-    `touch` changes in column j alone, which is not read again.)
+    After each group, the caller may move the group's robots in these rows of ``path``, in place. The pairs that
+    follow are those of the changed path: once robot i has moved, ``touch`` is computed again. (If only robot j has
+    moved, ``touch`` changes in column j alone, which is not read again.)
     """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
