@@ -103,10 +103,11 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     #      +---+--+--+---+                 place free points of A at this face in B.
     met_leaf, met_cell = overlapping_leaves(contents.tree, mesh.tree)
     is_open = mesh.state[met_cell] != CellState.BLOCKED
+    # For pair p of a flush and an open cell, the leaves in the flush cell are met_leaf[by_cell[first[p] : last[p]]].
     by_cell = np.argsort(met_cell, kind="stable")
     flush, beside = mesh.flush_pairs
     first, last = (np.searchsorted(met_cell[by_cell], flush, side=side) for side in ("left", "right"))
-    pair, place = ragged_indices(last - first)  # for each pair of a flush and an open cell, the leaves in the first
+    pair, place = ragged_indices(last - first)
     leaf = np.append(met_leaf[is_open], met_leaf[by_cell[first[pair] + place]])
     held_in = np.append(met_cell[is_open], flush[pair])
     bounded_by = np.append(met_cell[is_open], beside[pair])
