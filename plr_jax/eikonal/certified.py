@@ -88,39 +88,47 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
     """Add proven bounds of (cost-to-go - leaf function) to each leaf: the worst bounds of the cells that it meets."""
-    mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
-    cells, num_leaves = tree.leaves, len(tree.leaves)
+    mesh = field.mesh
+    cells = contents.tree.leaves
+    corners = corner_bits(mesh.dim)
     # 1. Rows (leaf, held_in, bounded_by): a point of the leaf in the cell `held_in` has the bounds of the open cell
-    #    `bounded_by`. This is the same cell or, for a flush blocked cell, each open cell beside it. (Free space may
-    #    begin at the faces of a flush cell, so that rounding may place free points in it, at #; see :class:`Mesh`.)
+    #    `bounded_by`. This is the same cell or, for a flush blocked cell, each open cell beside it. A blocked cell is
+    #    *flush* (see :class:`Mesh`) if it borders on space that is not blocked: rounding may then place free points
+    #    in the cell.
+    #
     #      +------+------+
-    #      |  A   |  B # |    Leaf L meets the open cell A, and the flush blocked cell B beside A. Its rows are
-    #      |   +--+--+ # |    (L, A, A), over the box that L and A share, and (L, B, A), over the part within L of the
-    #      |   | L|  | # |    face between A and B: rounding may place free points beside this face in B.
-    #      +---+--+--+---+
-    met_leaf, met_cell = overlapping_leaves(tree, mesh.tree)
+    #      |  A   |## B #|    Leaf L meets the open cell A and the flush blocked cell B (#) beside A. Its rows are
+    #      |   +--+--+ ##|      (L, A, A), over the box that L and A share;
+    #      |   | L|  |## |      (L, B, A), over the part within L of the face between A and B, since rounding may
+    #      +---+--+--+---+                 place free points of A at this face in B.
+    met_leaf, met_cell = overlapping_leaves(contents.tree, mesh.tree)
     is_open = mesh.state[met_cell] != CellState.BLOCKED
+    # For pair p of a flush and an open cell, the leaves in the flush cell are met_leaf[by_cell[first[p] : last[p]]].
     by_cell = np.argsort(met_cell, kind="stable")
     flush, beside = mesh.flush_pairs
     first, last = (np.searchsorted(met_cell[by_cell], flush, side=side) for side in ("left", "right"))
-    pair, place = ragged_indices(last - first)  # for each pair of a flush and an open cell, the leaves in the first
+    pair, place = ragged_indices(last - first)
     leaf = np.append(met_leaf[is_open], met_leaf[by_cell[first[pair] + place]])
     held_in = np.append(met_cell[is_open], flush[pair])
     bounded_by = np.append(met_cell[is_open], beside[pair])
-    # The mesh also counts cells as blocked from which no goal can be reached, though they may hold free points. The
-    # space does not prove these cells blocked. A leaf that meets one has no upper bound.
+    # The mesh also counts cells as blocked from which no goal can be reached, though they may hold free points: the
+    # space does not call these cells blocked. A leaf that meets one has no upper bound.
     blocked = np.flatnonzero(mesh.state == CellState.BLOCKED)
-    cut_off = blocked[field.space.classify(*(end[blocked] for end in mesh.boxes)) != CellState.BLOCKED]
-    is_unbounded = np.isin(np.arange(num_leaves), met_leaf[np.isin(met_cell, cut_off)])
-    # 2. The box of each row, in fractions of the domain, and the leaf's function at the corners of this box. `turn`
-    #    shifts the box, across the seam of a periodic axis, into `bounded_by`.
-    lo, hi, turn = mesh.shared_boxes(held_in, bounded_by)
-    position, depth = cells.position[leaf], cells.depth[leaf]
-    lo, hi = np.maximum(lo, np.ldexp(position, -depth)), np.minimum(hi, np.ldexp(position + 1.0, -depth))
-    meet = (lo <= hi).all(axis=1)  # the leaf need not reach the face of its flush cell
-    leaf, cell, turn, lo, hi = (column[meet] for column in (leaf, bounded_by, turn, lo, hi))
+    may_be_free = blocked[field.space.classify(*(end[blocked] for end in mesh.boxes)) != CellState.BLOCKED]
+    unbounded = met_leaf[np.isin(met_cell, may_be_free)]  # leaves, some of which may repeat
+    # 2. The box of each row, in fractions of the domain: what both cells share, within the leaf. (A cell shares its
+    #    whole box with itself.) The box lies in `held_in`; across the seam of a periodic axis, `shift`, in periods,
+    #    moves it into `bounded_by`.
+    lo, hi, shift = mesh.shared_boxes(held_in, bounded_by)
+    leaf_lo, leaf_hi = (end[leaf] for end in cells.fractions)
+    lo, hi = np.maximum(lo, leaf_lo), np.minimum(hi, leaf_hi)
+    is_met = (lo <= hi).all(axis=1)  # the leaf need not reach the face of its flush cell
+    leaf, bounded_by, shift, lo, hi = (column[is_met] for column in (leaf, bounded_by, shift, lo, hi))
+    # 3. The leaf's function at the corners of each box.
     coefficients = filled_coefficients(contents)
-    is_lost = np.isinf(coefficients[:, 0]) & (True if contents.cut_off is None else ~contents.cut_off)
+    is_lost = np.isinf(coefficients[:, 0])
+    if contents.cut_off is not None:
+        is_lost &= ~contents.cut_off
     if is_lost[leaf].any():
         raise ValueError(
             "Nothing can be proven: some leaves answer inf, although some of their points, which no sample met, may "
@@ -131,16 +139,20 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     t = np.ldexp(at, cells.depth[leaf][:, None]) - cells.position[leaf][:, None]  # local coordinates of the leaf
     weights = basis(1, t.reshape(-1, mesh.dim)).reshape(len(leaf), len(corners), -1)
     values = np.einsum("nij,nj->ni", weights, coefficients[leaf])
-    # 3. The worst bounds of each leaf. They begin at 0, since a certificate holds lower <= 0 <= upper.
-    below, above = field.bounds_over(cell, mesh.local(cell, lo + turn), mesh.local(cell, hi + turn), values)
-    lower = np.zeros(num_leaves)
-    upper = np.where(is_unbounded, np.inf, 0.0)
+    # 4. The worst bounds of each leaf. They begin at 0, since a certificate holds lower <= 0 <= upper.
+    local_lo, local_hi = (mesh.local(bounded_by, end + shift) for end in (lo, hi))
+    below, above = field.bounds_over(bounded_by, local_lo, local_hi, values)
+    lower, upper = np.zeros((2, len(cells)))
+    upper[unbounded] = np.inf
     np.minimum.at(lower, leaf, below)
     np.maximum.at(upper, leaf, above)
-    # 4. The change of the leaf's function f on the way to a point that rounding places in the leaf, up to `outside`
-    #    beyond it, in local coordinates. f is multilinear: there, its slope along an axis is at most `across`, the
-    #    largest difference between corners along this axis, times the product of 1 + 2 * outside over the other axes.
-    #    The product over all axes is no less.
+    # 5. Rounding may place a point in the leaf that is up to e_k = outside[k] beyond the leaf's box along axis k, in
+    #    the leaf's local coordinates t. Let across_k be the largest difference of the leaf's function f between two
+    #    corners along axis k. f is multilinear: df/dt_k is the average of these differences, with weights of sum 1.
+    #    In the box weights are at least 0. Beyond it, their absolute values sum up to |t_j| + |1 - t_j| <= 1 + 2 e_j
+    #    along each other axis j. So, up to such a point, f changes by at most
+    #        sum over k of e_k * across_k * (product over j != k of 1 + 2 e_j).
+    #    The product over all axes, which is simpler, is no less.
     outside = PLACING * np.ldexp(1.0, cells.depth)
     across = [np.abs(coefficients[:, bits == 1] - coefficients[:, bits == 0]).max(axis=1) for bits in corners.T]
     across = np.stack(across, axis=1)
@@ -168,13 +180,18 @@ def straight_bound(
     """
     # A query computes, in 32 bits, the least over goals g of
     #   sum over blocks of rate * |(x - g)[axes of the block]|  -  margin.
-    # Smaller rates allow for the rounding of lengths, and the margin for the rounding of coordinates.
+    # Smaller rates allow for the relative errors of lengths, and the margin for the errors of coordinates of x - g.
+    # Let L be the largest coordinate along an axis. In units of UNIT * L, the errors are 1 each for the roundings of
+    # x, of g and of both differences in (x - corner) - g, and 2 for the corner of the domain, which is rounded
+    # outward. This makes 6, and the subtraction of the margin adds at most 1: 8 is enough. On periodic axes, the way
+    # around the period has its own roundings. `largest`, the sum of L over the axes, bounds the 1-norm of x - g.
     largest = float(largest_coordinates(domain).sum())
     if not _LEAST_LENGTH < largest < _MOST_LENGTH:
         return None
     blocks = motion_cost.blocks
     rates = (1 - _LENGTH_MARGIN) * least_rate * np.array([weight for _, weight in blocks])
     costs = rates * largest
+    # A number takes 4 bytes: coordinates of goals, the group and about one rate for each axis.
     if (
         4 * (len(goals) + 2) * domain.dim > _STRAIGHT_BYTES * max_bytes
         or len(goals) > MOST_GOALS
@@ -185,7 +202,7 @@ def straight_bound(
     rates = np.float32(rates).astype(float)
     margin = (16 if domain.is_periodic else 8) * UNIT * largest * rates.sum()
     goals = np.float32(goals * domain.width).astype(float)
-    is_simple = len(goals) == len(rates) == 1 and not domain.is_periodic
+    is_simple = len(goals) == len(rates) == 1 and not domain.is_periodic  # the form of files of release 0.2
     return StraightBound(goals, groups, rates, float(np.float32(margin)), is_simple)
 
 
@@ -198,21 +215,24 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, " leaves"]:
     """Return upper bounds of (cost-to-go - f) in each leaf from paths along centers of voxels, or ``inf``."""
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
-    # Let p be the leaf's point nearest to c. Along each axis, x is no farther from p than from c: at most half a
-    # side, and at most the width of the leaf. So
+    # Let p be c clipped to the leaf's box. Along each axis, p lies between c and x: |x - p| <= |x - c| <= side / 2.
+    # Also, |x - p| <= width of the leaf, as both are in the leaf. So
     #   cost-to-go(x) <= |x - c| + length(c) <= |sides| / 2 + length(c)
     #            f(x) >= f(p) - sum over axes of across * min(side / (2 * width of the leaf), 1)
+    # An upper bound of cost-to-go(x) - f(x) is the sum of both (`spare`), plus the largest length(c) - f(p).
     grid = space.grid
     if grid.dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:
         return np.full(len(cells), np.inf)
     # 1. Lengths of paths from centers of voxels to goals, through the center of a free voxel that holds the goal.
     lengths = np.full(grid.padded.shape, np.inf)
     for goal in field.goals[:_VOXEL_GOALS]:
+        # A goal on faces lies in several voxels: take a free one. Voxel number k has its center at k - 1/2, as
+        # numbers start at 1.
         ends = np.stack(grid.numbers(goal[:, None]))[:, :, 0]  # least and largest number along each axis
-        holds = next(voxel for voxel in product(*ends.T.tolist()) if grid.padded[voxel])
-        center = space.domain.at((np.array(holds) - 0.5) / space.free.shape)
-        last = float(np.linalg.norm(goal - center))
-        lengths = np.minimum(lengths, VoxelGraph(space.free, center, bounds=space.domain).lengths + last)
+        goal_voxel = next(voxel for voxel in product(*ends.T.tolist()) if grid.padded[voxel])
+        center = space.domain.at((np.array(goal_voxel) - 0.5) / space.free.shape)
+        to_goal = float(np.linalg.norm(goal - center))
+        lengths = np.minimum(lengths, VoxelGraph(space.free, center, bounds=space.domain).lengths + to_goal)
     # 2. The part of the bound that is equal for all voxels of a leaf, with a margin for rounding.
     widths = space.domain.width * np.ldexp(1.0, -cells.depth)
     largest = max(float(np.abs(coefficients).max()), float(lengths[np.isfinite(lengths)].max()))
@@ -226,9 +246,8 @@ def _above_voxel_paths(
     above = np.full(len(cells), -np.inf)
     for batch in parts(counts.prod(axis=1), _PAIRS_AT_ONCE):
         leaf, voxel = enumerate_boxes(first[batch], counts[batch])
-        leaf = leaf + batch.start
         is_free = grid.padded[tuple(voxel.T)]
-        leaf, voxel = leaf[is_free], voxel[is_free]
+        leaf, voxel = leaf[is_free] + batch.start, voxel[is_free]
         at = np.ldexp((voxel - 0.5) / space.free.shape, cells.depth[leaf]) - cells.position[leaf]
         function = np.sum(basis(1, np.clip(at, 0.0, 1.0)) * coefficients[leaf], axis=1)
         np.maximum.at(above, leaf, lengths[tuple(voxel.T)] - function)

@@ -35,8 +35,8 @@ class CostDistance:
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
             ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the distance apart. They may
             be up to 100 % apart near sources, and if costs of neighbors differ by a factor of 100 or more.
-        plr: A PLR of the distance, without bounds and with finite values in barriers; None if not asked for. It
-            answers ``inf`` where no source can be reached, except near cells that reach one.
+        plr: A PLR of the distance, without bounds; None if not asked for. Its values in barriers are finite. In other
+            cells from which no source can be reached it answers ``inf``, except near cells that reach a source.
     """
 
     distance: Any
@@ -56,7 +56,8 @@ class CostDistance:
             are equal, none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
 
         Raises:
-            ValueError: If the point is outside the raster, or there are no paths, as over more than 2 million cells.
+            ValueError: If the point is outside the raster, or there are no paths, as over more than 2 million cells
+                (see :func:`cost_distance`).
         """
         if self._tree is None or self._box is None:
             raise ValueError(
@@ -117,19 +118,19 @@ def cost_distance(
             If a front marches and costs differ by more than a factor of 100,000.
     """
     # 1. The raster with the lowest coordinates first, and the sources in it.
-    cost, box, order = _raster(costs, cell_size)
-    side, rise = box.width / cost.shape[::-1], None
-    if heights is not None:
-        rise = raster_values("heights", heights)
+    cost, box, flips = _raster(costs, cell_size)
+    side = box.width / cost.shape[::-1]
+    rise = None if heights is None else raster_values("heights", heights)
+    if rise is not None:
         if rise.shape != cost.shape or cost.size > MOST_ON_REQUEST:
             most = f"shape {cost.shape}, of at most {MOST_ON_REQUEST:,} cells"
             raise ValueError(f"heights must have {most}, got {rise.shape}.")
         _require_aligned("heights", heights, costs)
-        rise = rise[order]
+        rise = rise[flips]
         cost = np.where(np.isfinite(rise), cost, np.inf)
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         _require_aligned("A mask of sources", sources, costs)
-    points = _as_sources(sources, cost, box, order)
+    points = _as_sources(sources, cost, box, flips)
     # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
     lower = upper = plr = tree = None
     if rise is None:
@@ -139,7 +140,8 @@ def cost_distance(
             raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
         if bounds or num_cells <= MOST_CELLS:
             (distance, nearest, *proven), tree = raster_search.search_finely(cost, side, points, parts, bounds)
-            lower, upper = proven or (None, None)
+            if bounds:
+                lower, upper = proven
         else:
             distance, nearest = raster_search.march(cost, side, points)
     else:
@@ -152,11 +154,11 @@ def cost_distance(
     if max_bytes is not None:
         plr = construct(GridField(distance, box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
-    # 3. Results in the order and with the coordinates of the given raster.
+    # 3. Results in the order and with the coordinates of the given raster: `flips` applied again.
     def like_costs(name: str, values: np.ndarray | None) -> Any:
         if values is None or not is_data_array(costs):
-            return values if values is None else values[order]
-        result = costs.copy(data=values[order]).rename(name)
+            return values if values is None else values[flips]
+        result = costs.copy(data=values[flips]).rename(name)
         result.attrs, result.encoding = (
             {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
         )
@@ -170,20 +172,20 @@ def cost_distance(
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
     # If both are a DataArray, they must have equal dimensions and coordinates.
-    if not (is_data_array(raster) and is_data_array(costs)):
-        return
-    pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
-    if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
-        raise ValueError(
-            f"{name} must have the dimensions {costs.dims} and coordinates of costs, got other ones: use "
-            "reindex_like(costs) or interp_like(costs)."
-        )
+    if is_data_array(raster) and is_data_array(costs):
+        pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
+        if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
+            raise ValueError(
+                f"{name} must have the dimensions {costs.dims} and coordinates of costs, got other ones: use "
+                "reindex_like(costs) or interp_like(costs)."
+            )
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and slices that reverse axes.
+    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and ``flips``.
 
-    Applied once, the slices sort the cells by ascending coordinates; applied twice, they restore the given order.
+    ``flips`` are slices that reverse the axes whose coordinates descend: applied once, they sort the cells; applied
+    twice, they restore the given order.
     """
     # 1. Check the shape of costs, and the size of cells.
     cost = raster_values("costs", costs)
@@ -195,18 +197,19 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     size = as_numbers("cell_size", cell_size, "one or two positive numbers")
     if size.shape not in ((), (2,)) or not (np.isfinite(size) & (size > 0)).all():
         raise ValueError(f"cell_size must be one or two positive numbers, got {shortened(cell_size)}.")
-    side, order = np.broadcast_to(size, 2), (slice(None), slice(None))
-    box = Box(np.zeros(2), side * cost.shape[::-1])
+    box = Box(np.zeros(2), size * cost.shape[::-1])
+    flips = slice(None), slice(None)
     if is_data_array(costs):
         if (size != 1).any():
             raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
-        box, order = data_array_box("costs", costs)
+        box, flips = data_array_box("costs", costs)
     # 2. Check the values.
-    cost = cost[order]
+    cost = cost[flips]
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
         raise ValueError(f"costs must be positive, got {got}. Use a small cost for free passage, NaN for barriers.")
-    # Products and squares of these numbers must neither overflow nor vanish.
+    # Products and squares of costs and lengths must neither overflow nor vanish. The cheapest motion across a cell
+    # costs `low * cell`; along the longer side of the raster, a motion costs up to `high * width`.
     cell, width = float((box.width / cost.shape[::-1]).min()), float(box.width.max())
     low, high = float(cost.min()), float(cost.max(where=np.isfinite(cost), initial=0.0))
     fits = min(low, low * cell) >= 1e-290 and max(high, high * width) <= min(1e290, 1e140 * low * cell)
@@ -215,10 +218,10 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
             "Lengths must be from 1e-140 to 1e140; costs, also times lengths, from 1e-290 to 1e290 and at most 1e140 "
             f"apart: got costs {low:g} to {high:g}, lengths {cell:g} to {width:g}. Use other units."
         )
-    return cost, box, order
+    return cost, box, flips
 
 
-def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
+def _as_sources(sources: ArrayLike, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
     """Check the sources, points or a mask, and return points relative to the lower corner of the raster."""
     # 1. Points: the centers of the mask's cells, in the order of the given raster; or points as given.
     side = box.width / cost.shape[::-1]
@@ -227,13 +230,13 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
             raise ValueError(f"A mask of sources must have the raster's shape {cost.shape}, got {np.shape(sources)}.")
         cells = np.argwhere(np.ma.filled(sources, False) if np.ma.isMaskedArray(sources) else np.asarray(sources))
         for axis in (0, 1):
-            if order[axis].step == -1:
+            if flips[axis].step == -1:
                 cells[:, axis] = cost.shape[axis] - 1 - cells[:, axis]
         points = (cells[:, ::-1] + 0.5) * side
     elif np.shape(sources) == cost.shape and cost.shape[1] != 2:
         raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
-
+        # Sources in 32 bits that rounding put outside of the raster or into a barrier move back.
         def is_open(x: Points) -> Bool[np.ndarray, " n"]:
             cells = cells_of(np.clip(x - box.lo, 0, box.width), side, cost.shape)
             return box.contains(x) & np.isfinite(cost[tuple(cells.T)])

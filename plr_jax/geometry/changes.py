@@ -25,7 +25,7 @@ from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # a full turn as a pseudo-angle
 Indices: TypeAlias = Int[np.ndarray, " _"]
-# The visibility polygon of a goal, and the corners that it may see; -1 stands for no corner.
+# Visibility polygon of a goal, and the corners that it sees; -1 for other vertices and for corners that are gone.
 GoalView: TypeAlias = tuple[VisibilityTable, Indices]
 
 
@@ -45,9 +45,7 @@ class Change:
     @cached_property
     def is_new(self) -> Bool[np.ndarray, " new_edges"]:
         """Whether each edge of ``new`` was not an edge of ``old``."""
-        is_new = np.ones(len(self.new.edges), bool)
-        is_new[self.edge[self.edge >= 0]] = False
-        return is_new
+        return np.isin(np.arange(len(self.new.edges)), self.edge, invert=True)
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
         """Return the bounding box of each connected group of changed edges, grown by ``margin``, as four corners."""
@@ -82,26 +80,25 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     # 2. Find the walls and rims around the gap, and triangulate it: walls are its first edges, then rims.
     vertex = change.vertex[old.origin]
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
-    has_triangle = np.zeros(len(change.new.edges), bool)
-    has_triangle[wall[is_half_kept & (wall >= 0)]] = True
-    walls = np.flatnonzero(~has_triangle)
+    walls = np.flatnonzero(np.isin(np.arange(len(change.new.edges)), wall[is_half_kept], invert=True))
     rims = np.flatnonzero(~is_half_kept & (old.twin >= 0) & is_half_kept[old.twin])
     edges = np.concatenate([change.new.edges[walls], np.stack([vertex[rims], vertex[next_half_edge(rims)]], axis=1)])
     if (edges < 0).any():
         return None
     vertex_of_gap, ends = np.unique(edges, return_inverse=True)
     ends = ends.reshape(-1, 2)
+    # A triangulation does not use the sectors of its boundary, so zeros will do. The result has the boundary
+    # `change.new`.
     gap = Boundary(change.new.vertices[vertex_of_gap], ends, np.zeros(len(ends), int))
     try:
         fill = triangulation_of(gap, old.tolerance)
     except ValueError:
         return None
-    if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):
+    if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):  # an edge has no triangle
         return None
     # 3. Number the kept half-edges, then those of the gap.
     kept = np.flatnonzero(is_half_kept)
-    new_index = np.full(len(is_half_kept), -1)
-    new_index[kept] = np.arange(len(kept))
+    new_index = np.where(is_half_kept, np.cumsum(is_half_kept) - 1, -1)
     origin = np.concatenate([vertex[kept], vertex_of_gap[fill.origin]])
     wall_of_edge = np.append(walls, np.full(len(rims), -1))
     wall = np.concatenate([wall[kept], np.where(fill.wall >= 0, wall_of_edge[fill.wall], -1)])
@@ -118,9 +115,10 @@ def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
     """Return what all corners and the goal see after a change, computed again only where it may differ."""
-    #   same[c]:    the old corner at the vertex of new corner c, with equal sectors; -1 if there is none
-    #   reused[c]:  same[c] if what the corner sees has not changed either, else -1
-    # Below, np.append(values, default)[i] is `default` for i = -1.
+    #    at_vertex[c]   old corner at the vertex of new corner c; -1 if there is none
+    #    matched[c]     at_vertex[c] if both have equal sectors, else -1
+    #    reused[c]      matched[c] if what the corner sees has not changed either, else -1
+    # These have -1 for no corner, and `np.append(values, default)[index]` reads `default` there.
     #
     # 1. Match each new corner with the old one at its vertex, if all sectors of both open and close at equal edges.
     corners, views = find_corners(workspace)
@@ -138,23 +136,24 @@ def changed_visibility(
     num_old_sectors = np.bincount(old.views.owner, minlength=len(old.views.points))
     differs = num_sectors != np.append(num_old_sectors, 0)[at_vertex]
     differs[views.owner[~is_same_sector[views.edge]]] = True
-    same = np.where(differs, -1, at_vertex)
-    # 2. Compute visibility again for corners that match no old corner or may see a changed edge, and for the goal if
-    #    it may see one.
-    reused = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
+    matched = np.where(differs, -1, at_vertex)
+    # 2. Compute visibility again for corners without a match, corners that may see a changed edge, and the goal, if
+    #    it may see one. The goal is the last of the viewpoints, after the corners `changed`.
+    reused = np.where(np.append(_may_see_change(old.table, change), True)[matched], -1, matched)
     is_goal_changed = bool(_may_see_change(of_goal[0], change)[0])
     unchanged, changed = np.flatnonzero(reused >= 0), np.flatnonzero(reused < 0)
     viewpoints = views[changed]
     if is_goal_changed:
-        points, owner = np.concatenate([viewpoints.points, goal.points]), goal.owner + len(changed)
-        viewpoints = Viewpoints(points, np.append(viewpoints.owner, owner), np.append(viewpoints.edge, goal.edge))
+        points = np.concatenate([viewpoints.points, goal.points])
+        owner = np.append(viewpoints.owner, goal.owner + len(changed))
+        viewpoints = Viewpoints(points, owner, np.append(viewpoints.edge, goal.edge))
     fresh, (view, vertex) = visibility_of(workspace.triangulation, viewpoints)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     # 3. Join what stays and what is recomputed.
     table = _splice([(old.table, reused[unchanged], unchanged), (fresh, np.arange(len(changed)), changed)], change)
     goal_table, goal_row = (fresh, len(changed)) if is_goal_changed else (of_goal[0], 0)
     new_of_matched = np.full(len(old.corners.points), -1)
-    new_of_matched[same[same >= 0]] = np.flatnonzero(same >= 0)
+    new_of_matched[matched[matched >= 0]] = np.flatnonzero(matched >= 0)
     goal_corners = seen[view == len(changed)] if is_goal_changed else new_of_matched[of_goal[1]]
     new_view = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
     # 4. Keep the edges between unchanged corners.
@@ -162,8 +161,9 @@ def changed_visibility(
     new_of_unchanged[reused[unchanged]] = unchanged
     edges = new_of_unchanged[old.edges]
     edges = edges[(edges >= 0).all(axis=1)]
-    # 5. Add the edges of recomputed corners. They need corners that see one another: look up whether unchanged
-    #    corners see the recomputed ones that see them.
+    # 5. Add the edges of recomputed corners. An edge joins corners that see one another. A pair (view, seen) shows
+    #    one direction. If `seen` was recomputed too, its own pairs show the other direction; if it is unchanged, look
+    #    up in the table whether it sees `view`.
     is_pair = (view < len(changed)) & (seen >= 0)
     view, seen = changed[view[is_pair]], seen[is_pair]
     view, seen = view[view != seen], seen[view != seen]
@@ -193,7 +193,8 @@ def may_see_polygons(
 ) -> Bool[np.ndarray, " n"]:
     """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``; False only if closer walls hide it."""
     # 1. Find the range of pseudo-angles of each polygon: all directions but the widest gap between its corners. The
-    #    gap is at least half a turn, unless the viewpoint is inside.
+    #    gap is at least half a turn, unless the viewpoint is inside. Pseudo-angles, from 0 to 4, begin at the cut of
+    #    the viewpoint: the corners' offsets are rotated by minus the cut's angle.
     #      0 ----- first ===== last ----- 4      the cut is outside of the range
     #      0 ===== last ------ first ==== 4      `wraps`: the range from `first` through the cut to `last`
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
@@ -201,21 +202,24 @@ def may_see_polygons(
     cx, cy = table.cut[view].T[:, :, None]
     angle = np.sort(pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx), axis=1)
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
-    rows, widest = np.arange(len(view)), gap.argmax(axis=1)
+    rows = np.arange(len(view))
+    widest = gap.argmax(axis=1)
     first, last = angle[rows, (widest + 1) % angle.shape[1]], angle[rows, widest]
     may_see = gap[rows, widest] < _TURN / 2
-    # 2. Look up the intervals that meet the range, in two parts if it wraps.
+    # 2. Look up the intervals that meet the range, in two parts if it wraps. In the table, the key of an interval is
+    #    4 * viewpoint + pseudo-angle of its start.
     wraps = first > last
-    polygon = np.append(rows, rows[wraps])
+    polygon_of_range = np.append(rows, rows[wraps])
     low = np.append(np.where(wraps, 0.0, first), first[wraps])
     high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
-    viewpoint = view[polygon]
+    viewpoint = view[polygon_of_range]
     begin = np.searchsorted(table.key, _TURN * viewpoint + low - table.blur, side="right") - 1
     end = np.searchsorted(table.key, _TURN * viewpoint + high + table.blur, side="right")
     begin, end = np.maximum(begin, table.first[viewpoint]), np.minimum(end, table.first[viewpoint + 1])
-    run, place = ragged_indices(np.maximum(end - begin, 0))
+    range_index, place = ragged_indices(np.maximum(end - begin, 0))
     # 3. The polygon may be visible if one of its corners lies in front of the nearest wall of such an interval.
-    edge, polygon = table.edge[begin[run] + place], polygon[run]
+    edge = table.edge[begin[range_index] + place]
+    polygon = polygon_of_range[range_index]
     nx, ny = table.boundary.normal[edge].T[:, :, None]
     height = nx * hull[polygon, :, 0] + ny * hull[polygon, :, 1]
     is_in_front = height.max(axis=1) >= table.boundary.offset[edge] - table.tolerance

@@ -1,6 +1,8 @@
 """Arrays of convex polygons (*pieces*): clipping, areas, and extremes of differences of distance functions on them.
 
 Coordinates are stored as ``(2, pieces, corners)``, corners counterclockwise; shorter pieces repeat their last corner.
+A *cone* is the function ``offset + |x - apex|``: the length of a path from ``x`` straight to ``apex``, and on from
+there by a path of length ``offset``.
 """
 
 from typing import TypeAlias
@@ -51,15 +53,13 @@ def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
 
 def centers(pieces: Pieces) -> Vectors:
     """Return the mean of each piece's distinct corners, a point inside."""
-    differs = np.ones(pieces.shape[1:], bool)  # each corner from the one before
-    differs[:, 1:] = (pieces[:, :, 1:] != pieces[:, :, :-1]).any(axis=0)
-    differs[:, 0] = (pieces[:, :, 0] != pieces[:, :, -1]).any(axis=0)
-    differs[~differs.any(axis=1)] = True
+    differs = (pieces != np.roll(pieces, 1, axis=2)).any(axis=0)  # each corner from the one before
+    differs[~differs.any(axis=1)] = True  # a single point: all corners are equal
     return ((pieces * differs).sum(axis=2) / differs.sum(axis=1)).T
 
 
 def areas(pieces: Pieces) -> Numbers:
-    # Shoelace formula, with corners relative to the first one, so that its two products are 0.
+    # Shoelace formula, with corners relative to the first corner: the terms of the two edges at this corner are 0.
     x, y = pieces - pieces[:, :, :1]
     return (x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1) / 2
 
@@ -103,23 +103,23 @@ def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.nd
     pairs = [np.zeros((2, 0), np.int64)]
     for begin in range(0, len(lo), at_once):
         (left, low), (right, high) = (corner[begin : begin + at_once].T[:, :, None] for corner in (lo, hi))
-        box, rows = np.nonzero((x0 < right) & (x1 > left) & (y0 < high) & (y1 > low))
-        pairs.append(np.stack([begin + box, rows]))
-    box, rows = np.concatenate(pairs, axis=1)
-    # 2. Clip the polygons at all four sides of the boxes.
-    pieces = pieces[:, rows][:, :, np.minimum(np.arange(ROOM), pieces.shape[2] - 1)]
-    is_cut = np.zeros(len(rows), bool)
+        box, polygon = np.nonzero((x0 < right) & (x1 > left) & (y0 < high) & (y1 > low))
+        pairs.append(np.stack([begin + box, polygon]))
+    box, polygon = np.concatenate(pairs, axis=1)
+    # 2. Clip a copy of the polygon of each pair, with its last corner repeated up to `ROOM` corners, at all four
+    #    sides of the box. A corner on a side comes out twice: as a corner, and as the crossing of the edge beside it.
+    #    As clipping drops repeated corners, clip parts that have been cut at all further sides.
+    parts = pieces[:, polygon][:, :, np.minimum(np.arange(ROOM), pieces.shape[2] - 1)]
+    is_cut = np.zeros(len(polygon), bool)
     for axis in range(2):
         for sign, limit in ((1.0, lo[:, axis]), (-1.0, hi[:, axis])):
-            height = sign * (pieces[axis] - limit[box, None])
+            height = sign * (parts[axis] - limit[box, None])
             reaches = highest(height) > 0
-            box, rows, pieces, height = box[reaches], rows[reaches], pieces[:, reaches], height[reaches]
-            # A corner on a side that cuts the piece comes out of `clip` twice, as a corner and as a crossing. The
-            # next clipping drops an equal copy, so pieces that were cut are clipped at all further sides.
+            box, polygon, parts, height = box[reaches], polygon[reaches], parts[:, reaches], height[reaches]
             is_cut = is_cut[reaches] | (lowest(height) < 0)
-            pieces[:, is_cut] = clip(pieces[:, is_cut], height[is_cut])
-    has_area = areas(pieces) > 0
-    return pieces[:, has_area], box[has_area], rows[has_area]
+            parts[:, is_cut] = clip(parts[:, is_cut], height[is_cut])
+    has_area = areas(parts) > 0
+    return parts[:, has_area], box[has_area], polygon[has_area]
 
 
 def next_corner(values: Values) -> Values:
@@ -140,8 +140,8 @@ def difference_of_cones(
 ) -> Extremes:
     """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - other_offset - |x - other_apex|``."""
     least, most = np.empty((2, len(offset)))
-    is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))  # at most four corners
-    for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
+    is_short = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))  # at most four corners
+    for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_short)), (pieces.shape[2], np.flatnonzero(~is_short))):
         for begin in range(0, len(group), _AT_ONCE):
             rows = group[begin : begin + _AT_ONCE]
             least[rows], most[rows] = _extremes(pieces[:, rows, :count], apex[rows], other_apex[rows])
@@ -151,12 +151,13 @@ def difference_of_cones(
 
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
     """Return the extremes over each piece of ``|x - apex| - |x - other_apex|``."""
-    # The extremes lie on the boundary. The gradient, a difference of unit vectors, vanishes only on the line through
-    # both apexes outside of their segment, where the difference is constant. On an edge the difference is stationary
-    # where both apexes appear at the same angle to the edge:
+    # The extremes lie on the boundary. Inside, the gradient, a difference of unit vectors, vanishes only on the line
+    # through both apexes, on the rays that lead from one apex away from the other. On such a ray the difference is
+    # constant, from the apex (a kink) to the boundary, which so has the same value. On an edge the difference is
+    # stationary where both apexes appear at the same angle to the edge:
     #   (place - along_a) / beside_a = (place - along_b) / beside_b,
     # where `place` and `along`, the foot of an apex on the edge's line, are distances from the edge's start, and
-    # `beside` is the distance of an apex from the line.
+    # `beside` is the apex's distance from the line.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)

@@ -44,9 +44,10 @@ class ReflexCorners:
     def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
         """Return whether both walls at each corner lie on one side of the line from the corner to a point ``x``."""
         # Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
-        x, y = np.moveaxis(x - self.points[corner], -1, 0)
-        opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
-        return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
+        dx, dy = np.moveaxis(x - self.points[corner], -1, 0)
+        # Cross products: positive if x is on the left of the wall.
+        sides = [wall[corner, 0] * dy - wall[corner, 1] * dx for wall in self.walls]
+        return (np.minimum(*sides) >= -self.slack) | (np.maximum(*sides) <= self.slack)
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
@@ -137,13 +138,13 @@ class TurnPoints:
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
         """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
-        #     left side \     / right side       Inward normals are the right side turned left, and the left side
-        #                \   /                    turned right.
-        #                 \ /
-        #                corner
-        #
-        # A cone is narrower than half the plane, so the right side's inward normal is counterclockwise of the left's:
-        # if both are `in_order`, the second normal is that of the right side.
+        #     left side \      / right side
+        #                \cone/
+        #                 \  /
+        #                  c
+        # The inward normal of the right side is the vector along this side, turned left; that of the left side is
+        # turned right. A cone is narrower than half the plane, so the right side's normal is counterclockwise of the
+        # left side's normal: if cross(first, second) >= 0, `second` belongs to the right side.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
@@ -174,15 +175,19 @@ def find_turn_points(
     """Return the corners at which shortest paths may first turn; ``vertices`` are goals, then corners."""
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     #
-    #                          . onward, to the goal
-    #                     .
-    #                c------------ opening wall      A path that turns at corner c comes from the cone between the
-    #           .    |############                   backward extension of the path onward and the wall around which
-    #      .   cone  |# obstacle #                   it comes, the near wall: here the closing wall.
-    #           closing wall                         If the extension enters the obstacle, no path turns at c.
+    #                                 . onward, to the goal
+    #                            .
+    #                       c------------ opening wall
+    #                  .    |############
+    #             .   cone  |# obstacle #
+    #    extension          |############
+    #                  closing wall
     #
-    # The obstacle fills the corner from the closing wall counterclockwise to the opening wall. If it lies to the left
-    # of the path onward, the near wall is the opening wall, else the closing wall.
+    # A path that turns at corner c comes from the cone between the backward extension of the path onward and the wall
+    # around which it comes, the *near wall*: here the closing wall. If the extension enters the obstacle, no path
+    # turns at c. The obstacle fills the corner from the closing wall counterclockwise to the opening wall. Its
+    # direction is o = opens + closes. If it lies to the left of the path onward, cross(onward, o) > 0, the near wall
+    # is the opening wall. Else it is the closing wall, and all is mirrored: `sign` is -1.
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points = vertices.points[vertex]
     opens, closes = vertices.walls[:, vertex]
@@ -225,6 +230,7 @@ class TurnRegions:
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
             lengths = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn]
             corner = self.turns.vertex[turn]
+            # The last two parameters of the function bind the arrays of this iteration.
             pair, length[rows] = first_visible_ragged(
                 lengths, counts[part], lambda i, pair, rows=rows, corner=corner: sees(rows[i], corner[pair])
             )

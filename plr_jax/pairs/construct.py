@@ -6,6 +6,7 @@ query tries these corners. Corners that its point does not see cost time in vain
 halved first.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -33,7 +34,9 @@ from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
 PointIndices = Int[np.ndarray, "points"]  # a number for each point of an outline
-_FINEST_EVER = 2.0**-37  # finest lattice step at all, in domain widths: files hold coordinates of up to 39 bits
+# Finest lattice step at all, in domain widths. Rounded down to a power of two, it is more than 2**-38 widths, so
+# coordinates are at most 2**38 steps: files hold coordinates of up to 39 bits.
+_FINEST_EVER = 2.0**-37
 _SLACK = 8  # number of workspace tolerances by which visibility may err
 
 
@@ -51,7 +54,8 @@ def outline_of(
     sectors = zip(edges[:, 0].tolist(), boundary.sector_end.tolist(), strict=True)
     leaving = {sector: edge for edge, sector in enumerate(sectors)}
     order, first = _rings_of(np.array([leaving[b, a] for a, b in edges.tolist()]))
-    # 2. Round the points to a lattice that separates points from walls.
+    # 2. Round the points to a lattice that separates points from walls. A quarter of 8 * FINEST widths is above both
+    #    the finest step and the usual tolerance (1e-9 widths): walls that far away do not limit the step.
     all_indices = np.arange(len(vertices)), np.arange(len(edges))
     near, edge = vertices_near_edges(vertices, edges, 8 * FINEST * width, *all_indices)
     walls: Any = shapely.linestrings(boundary.segments[edge].reshape(-1, 2, 2))
@@ -80,11 +84,13 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
 
     Return the new outline, and the boundary vertex at each of its points, given those of the old outline.
 
-    If a wall of a thin obstacle ends in a contact, all contacts stay closed. When walls move into their obstacles,
-    walls of thin obstacles stay in place (:meth:`Outline.moved_walls`), so it would be open whether such a wall hides
-    a corner in the contact. Paths still pass closed contacts: each sector of free space at a contact has a corner of
-    its own in the file, and these corners are joined (see :func:`corners_in_outline`).
+    All contacts stay closed if a wall of a thin obstacle begins or ends in a contact. For tests of visibility, walls
+    move back into their obstacles, so that rounding hides no corner, but walls of thin obstacles stay in place
+    (:meth:`Outline.moved_walls`). Beside an open contact, rounding would decide whether such a wall hides the corner
+    in the contact. Paths through a closed contact use several corners there, one in each sector of free space beside
+    it; edges join them (:func:`corners_in_outline`).
     """
+    # Whether the wall that leaves each point, or the one that arrives at it, belongs to a thin obstacle.
     is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
     if (outline.is_contact & is_beside_thin).any():
         return outline, vertex
@@ -97,7 +103,8 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
     """Return the largest power of two or ten to whose multiples points round distinctly, within the tolerance.
 
     Coordinates change by at most a quarter of the ``clearance``, the least distance of a point from a wall that does
-    not end there. If steps of at least ``FINEST`` widths are too coarse, return a finer power of two.
+    not end there. If steps of at least ``FINEST`` widths are too coarse, return a finer power of two, without these
+    guarantees.
     """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
@@ -169,6 +176,7 @@ def grow_lists(
     stop_at = _IN_VAIN * areas(root.pieces).sum()
 
     def halved(tree: _ListTree) -> _ListTree | None:
+        # All nodes that have been halved have keys above 0, so `leaves_above(0.0)` are the leaves of the whole tree.
         leaves = np.flatnonzero(tree.is_leaf)
         key = tree.key[leaves]
         if key.sum() <= stop_at or len(tree) >= most_leaves or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
@@ -176,15 +184,15 @@ def grow_lists(
         return _halved(tree, leaves[key > _LEAST_RELATIVE_KEY * key.max()], domain, limits)
 
     tree = grow(tree, halved, limits)
-    # 2. Find the least threshold of keys whose leaves fit, by bisection. The last key as threshold halves nothing.
+
+    # 2. Find the least threshold of keys whose leaves fit, by bisection. If no other threshold does, take the largest
+    #    key, above which no node is halved.
+    def fits(key: float) -> bool:
+        leaves = tree.leaves_above(key)
+        return len(leaves.cells) <= most_leaves and num_bytes(leaves) <= limits.max_bytes
+
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
-    low, high = 0, len(keys) - 1
-    while low < high:
-        middle = (low + high) // 2
-        leaves = tree.leaves_above(keys[middle])
-        fits = len(leaves.cells) <= most_leaves and num_bytes(leaves) <= limits.max_bytes
-        low, high = (low, middle) if fits else (middle + 1, high)
-    return tree.leaves_above(keys[low])
+    return tree.leaves_above(keys[bisect_left(keys[:-1], True, key=fits)])
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
@@ -194,8 +202,9 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limi
     axis = cells.longest_axis(domain)
     halves = cells.split(axis)
     leaves = np.flatnonzero(tree.is_leaf)  # `tree.visible` has its cells in this order
-    place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
-    visible = tree.visible.parts(place, np.repeat(axis, 2), is_upper, *halves.grown_boxes(domain))
+    parent = np.repeat(np.searchsorted(leaves, nodes), 2)
+    is_upper = np.tile([False, True], len(nodes))
+    visible = tree.visible.parts(parent, np.repeat(axis, 2), is_upper, *halves.grown_boxes(domain))
     lists, key = _keyed_lists(visible, halves, limits)
     key = np.minimum(key, np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
@@ -235,6 +244,13 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame_size(domain))
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
+    # Indices:
+    #   vertex   of `workspace.boundary`; vertex[p] is the vertex at point p
+    #   point p  of the outline
+    #   corner c of `visibility`
+    #   corner f of the file: at the point point_of[f], and equal to the corner corner_of[f] of `visibility`
+    # A corner c has several corners f, such as two at a sharp tip, or none: order[first[c] : first[c + 1]].
+    #
     # 1. Round the boundary of free space to a lattice, and find its corners.
     visibility = corner_visibility(workspace)
     width = float(domain.width.max())
@@ -242,40 +258,37 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
     if workspace.squeeze:
         outline, vertex = with_open_contacts(outline, vertex)
-    # Indices: `vertex` of workspace.boundary by outline point; outline point `corner` by corner of the file;
-    # `of_corner` in `visibility` by corner of the file.
-    corner, of_corner = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
-    if len(corner) > MOST_CORNERS:
+    point_of, corner_of = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
+    if len(point_of) > MOST_CORNERS:
         raise ValueError(
-            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(corner):,}: simplify its polygons, "
+            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(point_of):,}: simplify its polygons, "
             "or ask a VisibilityGraph."
         )
-    # The file's indices of corner c of `visibility` are `order[first[c] : first[c + 1]]`: several, such as two at a
-    # sharp tip, or none.
-    order = np.argsort(of_corner, kind="stable")
-    first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
+    order = np.argsort(corner_of, kind="stable")
+    first = np.searchsorted(corner_of[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        # Return indices in the file of corners of `visibility`, and for each its row in `corners`.
+        # Return the file's indices of corners of `visibility`, and for each its row in `corners`.
         place, row = take_ragged(first, corners)
         return order[place], row
 
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
-    #    Join points of the same corner, too. Sort pairs by the later corner, then by the earlier corner.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
-    #    An edge (a, b) becomes an edge from each of the file's corners of a to each of those of b.
+    #    An edge (a, b) becomes an edge between each of the file's corners at a and each of those at b.
     start, row_a = in_file(a[is_taut])
     end, row_b = in_file(b[is_taut][row_a])
-    same = np.flatnonzero(of_corner[order[1:]] == of_corner[order[:-1]])
+    #    Join the file's corners at the same place in a chain, so that paths may pass from one to another.
+    same = np.flatnonzero(corner_of[order[1:]] == corner_of[order[:-1]])
     pairs = np.concatenate([np.stack([start[row_b], end], axis=1), np.stack([order[same], order[same + 1]], axis=1)])
+    #    Columns: the earlier corner, the later corner. Rows are distinct, sorted by the later, then the earlier one.
     edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 3. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
-    true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
+    true, rounded = visibility.corners.points[corner_of], outline.positions[point_of]
     moved = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0))
-    change = 0.0  # the largest change of a distance between corners
-    for (_, exact), (_, rough) in zip(*(distances_by_rows(points, edges) for points in (true, rounded)), strict=True):
+    change = 0.0  # largest change of a distance between corners
+    for (_, exact), (_, rough) in zip(distances_by_rows(true, edges), distances_by_rows(rounded, edges), strict=True):
         with np.errstate(invalid="ignore"):  # `exact` and `rough` may both be infinite
             change = max(change, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))
     # The file has 32 bits, so round up.
@@ -287,9 +300,9 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         listed, row = in_file(lists.corner)
         leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
         by_leaf = np.lexsort((listed, leaf))
-        return PairsFileData(domain, outline, corner, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
+        return PairsFileData(domain, outline, point_of, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
 
-    most = min(limits.max_leaves, most_leaves(len(corner)))
+    most = min(limits.max_leaves, most_leaves(len(point_of)))
     root = corners_seen(visibility, workspace.triangulation, domain)
     pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
     data = pairs_data.to_bytes()
@@ -314,9 +327,9 @@ def corners_in_outline(
     candidates = np.flatnonzero(of_point >= 0)
     candidates = candidates[np.argsort(~outline.is_reflex[candidates], kind="stable")]
     chosen = candidates[np.unique(of_point[candidates], return_index=True)[1]]
-    is_corner = np.zeros(len(vertex) + 1, bool)
+    is_corner = np.zeros(len(vertex) + 1, bool)  # one more, for the point after the last one
     is_corner[chosen] = True
-    # 2. Sharp tips have two points, one after the other.
+    # 2. Sharp tips have two points with the same vertex, one after the other.
     is_corner[chosen + 1] |= np.append(vertex, -1)[chosen + 1] == vertex[chosen]
     # 3. If paths squeeze through closed contacts, they lead from any sector of free space beside it into any other.
     is_corner[candidates] |= squeezes & outline.is_contact[candidates]

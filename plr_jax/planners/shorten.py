@@ -73,11 +73,13 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, " robots"]]:
-    # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that stay on the cheapest
-    # route, and for each robot whether it blocked a shortcut.
-    # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends at a contact of walls, except at
-    #    the start or goal: two motions that meet there may lead through the contact, which no test of one motion
-    #    sees. A shortcut may skip the contact.
+    """Return the rows of robot ``i``'s cheapest route by motions and shortcuts, and which robots blocked a shortcut.
+
+    Each motion or shortcut leads from a row in ``begin`` to a row in ``end``.
+    """
+    # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends in a row at a contact of walls, as
+    #    there the path's own motions fix the side on which it passes; except at the ends of the path. A shortcut may
+    #    skip such a row.
     q = trajectory.path[:, i]
     is_motion = end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -105,7 +107,8 @@ def _with_shortcuts(
         q0, q1 = (between(q[begin[edge]], q[end[edge]], (rank[now] + ahead)[:, None] / count) for ahead in (0, 1))
         near, j = trajectory.robots_near(i, circles(q0[:, None], q1[:, None]), row[now])
         meet = test.meet(i, q0[near], q1[near], trajectory, row[now[near]], j)
-        is_apart[shortcut[now[near[meet]]]] = False
+        hit = now[near[meet]]  # pieces that hit a robot
+        is_apart[shortcut[hit]] = False
         in_way[j[meet]] = True
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
     is_edge[shortcuts[is_apart]] = True
@@ -143,7 +146,9 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
     """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch.
 
-    The caller may change these rows of ``path`` in place; the pairs that follow are those of the changed path.
+    After each group, the caller may move the group's robots in these rows of ``path``, in place. The pairs that
+    follow are those of the changed path: once robot i has moved, ``touch`` is computed again. (If only robot j has
+    moved, ``touch`` changes in column j alone, which is not read again.)
     """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
@@ -185,23 +190,27 @@ def _shortened_in_corridors(
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in zip(robots, corridors, strict=True)]
     through = [_least_cost_through(cost) for cost in costs]
     # Let c_i be the cost of robot i's present path, and m_i its least cost. A path of robot i of cost t can only be
-    # part of a cheaper joint path if t + sum of m_k (k != i) < sum of c_k, that is, t < m_i + spare.
-    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
-    for i, corridor, region, cost, total in zip(robots, corridors, around, costs, through, strict=True):
+    # part of a cheaper joint path if t + sum of m_k (k != i) < sum of c_k, that is, t < m_i + spare. As every path
+    # has a motion from row 0, m_i is the least cost through one of these.
+    least = [float(total[0].min()) for total in through]
+    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
+    for i, corridor, region, cost, total, m_i in zip(robots, corridors, around, costs, through, least, strict=True):
         # 2. Set the costs of motions that cannot gain, or hit something, to inf. Test only motions that may gain.
         #    `region` has a circle for each row in which the reference point stays.
         present_cost = cost[:, 0, 0].copy()
-        may_gain = total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
+        may_gain = total < (1 - _ROUNDING) * (m_i + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         begin, end = corridor[row, first], corridor[row + 1, last]
-        at_contact = test.wall_tests[i].is_at_contact(corridor)  # no new motion begins or ends there
+        # As for shortcuts, no new motion begins or ends at a contact of walls: the present motions fix the side.
+        at_contact = test.wall_tests[i].is_at_contact(corridor)
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
         near_wall = free & ~test.wall_tests[i].has_room(*region)[row]
         free[near_wall] = test.wall_tests[i](begin[near_wall], end[near_wall], test.deadline)
         # Test all motions of a row against each robot that is near in this row (`near_row`).
         near_row, j = trajectory.robots_near(i, region, first_row, robots)
-        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(first_row) + 1)), near_row)
+        first_motion = np.searchsorted(row, np.arange(len(first_row) + 1))  # of each row
+        tested, pair = take_ragged(first_motion, near_row)
         free[tested[test.meet(i, begin[tested], end[tested], trajectory, first_row[near_row[pair]], j[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
         # The present motions keep their costs: with them, a path always exists.
@@ -260,6 +269,7 @@ def _least_cost_through(cost: Costs) -> Costs:
     """
     # Dynamic programming in both directions at once. so_far[k, 0, a] is the least cost from the start to
     # configuration a of row k. so_far[k, 1, a] is that from configuration a, k rows before the last one, to the end.
+    # So so_far[::-1, 1][k] is from row k + 1 to the end: with n motions, this is n - 1 - k rows before the last one.
     both_ways = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0

@@ -1,6 +1,7 @@
 """Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners.
 
 Pairs of leaves are found by descending from pairs of nodes, without the pairs that do not touch: :func:`leaf_pairs`.
+Finite elements need both: leaves that share a face must agree on it, which constrains their values at corners.
 """
 
 from collections.abc import Callable
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 
 Indices: TypeAlias = Int[np.ndarray, " n"]
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
-# ``keep(pairs, side, half, axis)`` returns which new pairs to follow. In each pair, the node in row ``side`` has just
-# been replaced by its lower (``half`` 0) or upper (1) half along ``axis``.
+# Function ``keep(pairs, side, half, axis)`` that returns which new pairs to follow, a mask. In each pair, the node in
+# row ``side`` has just been replaced by its lower (``half`` 0) or upper (1) half along the pair's ``axis``.
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
 
 
@@ -34,6 +35,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
     while pairs.shape[1]:
         # 1. Put aside the pairs of two leaves. Choose the node to split: the less deep one, if it is no leaf.
+        #    (`pairs` may have rows of data, without a tree.)
         is_inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
         finished.append(pairs[:, ~is_inner.any(axis=0)])
         splits_a = is_inner[0] & (~is_inner[1] | (depths[0][pairs[0]] <= depths[1][pairs[1]]))
@@ -91,8 +93,9 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"], most_weights: int) -> "csr_array":
     """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
 
-    Each equation is solved for its variable of the highest ``level``, a number for each variable. ``ValueError`` if
-    this takes more than ``most_weights`` additions. Modifies ``rows`` in place: weights up to ``ZERO`` become 0.
+    Each equation is solved for its variable of the highest ``level``, a number for each variable; of several, for the
+    one of the largest absolute weight; of several, for the first one. ``ValueError`` if this takes more than
+    ``most_weights`` additions. Modifies ``rows`` in place: weights up to ``ZERO`` become 0.
     """
     from scipy.sparse import csr_array
 
@@ -116,13 +119,13 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
         scale = row.pop(pivot)
         solution = {index: -weight / scale for index, weight in row.items()}
-        # `uses` may also name users in which the weight of the variable has canceled.
-        users = [pivot, *(user for user in uses.pop(pivot, ()) if pivot in solved[user])]
+        # `uses` may also name variables in whose solutions the weight of the pivot has canceled.
+        earlier = [user for user in uses.pop(pivot, ()) if pivot in solved[user]]
         solved[pivot] = solution
-        for user in users[1:]:
+        for user in earlier:
             work += _add(solved[user], solved[user].pop(pivot), solution)
         for index in solution:
-            uses.setdefault(index, set()).update(users)
+            uses.setdefault(index, set()).update([pivot, *earlier])
     # The matrix: rows of solved variables have their solutions, all other rows are unit vectors.
     table = [(pivot, index, weight) for pivot, row in solved.items() for index, weight in row.items()]
     pivots, index, weight = np.array(table).reshape(-1, 3).T
@@ -158,9 +161,9 @@ def neighbor_of_largest_contact(
 ) -> Int[np.ndarray, " m"]:
     """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
-    leaf_of_cell = np.argsort(tree.order)  # the inverse permutation
-    touching = touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)
-    pairs = borrower, donor = tree.order[touching]  # indices of unreachable and of reachable cells
+    leaf_of_cell = np.argsort(tree.order)  # inverse permutation of `order`, the index in `cells` of each leaf
+    pairs = tree.order[touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)]
+    borrower, donor = pairs  # an unreachable and a reachable cell
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
     order = np.lexsort((-donor, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor_of = np.full(len(cells), -1)
@@ -185,6 +188,7 @@ def touching_leaves(
         stays[stays] = _contacts(tree.cells, finest, pairs[:, stays], periodic) > 0
         return stays
 
+    # Begin with the root and itself, or with no pair if it contains no leaf of one kind.
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
 
 

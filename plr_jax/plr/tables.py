@@ -61,6 +61,7 @@ def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
+    # Entry 2 * i: row i of the leaf parameters; 2 * i + 1: the point's child table, which begins at entry i.
     entries: UInt32[Array, " entries"]
     bits: UInt32[Array, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
     start: UInt32[Array, "*batch"]  # first entry of one PLR, or of each point's PLR
@@ -132,7 +133,7 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], sh
             word = (word << width) | size
         words.append(jax.device_put(word.astype(np.uint32)))
         axes.append(sizes.shape[1])
-        axes_per_word = WORD_BITS // width
+        axes_per_word = WORD_BITS // width  # later words have no start
     return Blocks(tuple(words), jax.device_put(shift.astype(np.uint32)), tuple(axes), width)
 
 
@@ -198,7 +199,7 @@ def build_pages(
     """
     # 1. Choose the coarse grid. An index into a page has a field of `page_bits` bits for each axis, the last axis
     #    lowest, with `later_bits` bits below it. A page that is halved less often along an axis uses the highest
-    #    `shape` bits of the field; the bits below them are gaps:
+    #    `shape` bits of the field; the bits below them are gaps (see the example in `_place_pages`):
     #
     #      fraction bits of an axis  | block_bits | page_bits | not used |
     #      index into a page         | ... | shape | gaps | later_bits |
@@ -219,7 +220,8 @@ def build_pages(
             continue
         start, num_entries = _place_pages(shape, page_bits, later_bits, len(cells))
         total = next((count for count in entry_counts if num_entries <= count), None)
-        # Bytes: 4 a block, at most 2**most_bits blocks; an entry takes 2 for the leaf's index, and 4 a parameter.
+        # Bytes: 4 for each of 2**most_bits blocks (shallow trees, with fewer blocks, are charged for as many); an
+        # entry takes 2 for the leaf's index, and 4 a parameter.
         if total is not None and (size := (4 << most_bits) + total * (2 + 4 * parameters_per_entry)) < fewest:
             best, fewest = (block_bits, page_bits, later_bits, shape, start, num_entries, total), size
         if total == entry_counts[0]:
@@ -231,7 +233,8 @@ def build_pages(
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     is_alone = ~shape[block].any(axis=1)
     start[block[is_alone]] = leaf[is_alone]
-    # 3. Write the leaves of all pages.
+    # 3. Write the leaves of all pages. Blocks in one leaf write this leaf into its own entry, which holds it anyway.
+    #    Entries in gaps that no page fills keep leaf 0; no point reads them.
     pair, slot = enumerate_boxes(first, count)
     leaf_of_entry = np.zeros(num_entries, np.uint16)
     gaps = page_bits - shape[block[pair]]
@@ -247,28 +250,27 @@ def build_pages(
 
 
 def _place_pages(
-    shape: PerBlock, page_bits: PerAxis, later_bits: PerAxis, first: int
+    shape: PerBlock, page_bits: PerAxis, later_bits: PerAxis, first_entry: int
 ) -> tuple[Int[np.ndarray, " blocks"], int]:
     """Return where each block's page begins, and the end of all pages.
 
-    A buddy allocator places pages by decreasing size, from entry ``first`` on. ``later_bits`` has the number of index
-    bits of all later axes in the largest page.
+    A buddy allocator places pages by decreasing size, from entry ``first_entry`` on. ``later_bits`` has the number of
+    index bits of all later axes in the largest page.
     """
-    # Halving a free range along an axis gives its even and its odd entries, a `step` apart: the lowest bit of the
-    # axis's field that the range uses.
+    # Pages interleave. Example: the largest page has 2 x 4 entries, with page_bits (1, 2) and later_bits (2, 0), so
+    # an index has the bits `a b b`: one of axis 0, two of axis 1.
     #
-    #     range          0 1 2 3 4 5 6 7
-    #     even half      0   2   4   6     begins at 0
-    #     odd half         1   3   5   7   begins at 1
+    #     entry            0 1 2 3 4 5 6 7
+    #     page of 2 x 2    *   *   *   *      begins at 0; its indices have the bits `a b .`, with a gap
+    #     page of 1 x 2      o   o            begins at 1, in the gaps; its indices have the bits `. b .`
     #
-    # Pages interleave. If the largest page is 2 x 4, bits of an index are `a b b`, with the bit `a` for axis 0:
-    #
-    #     page of 2 x 2  *   *   *   *     takes the even half: `a b .`
-    #     page of 1 x 2    o   o           takes the lower half of the odd half: `. b .`, with the start 1
+    # Halving a free range along an axis separates its entries by the lowest bit of the axis's field that the range
+    # uses: the halves begin a `step`, the value of this bit, apart. Here, halving all 8 entries along axis 1 gives
+    # the even and the odd entries, with a step of 1; halving the odd ones along axis 0 gives 1, 3 and 5, 7.
     finest = tuple(page_bits.tolist())
     free_starts: dict[tuple[int, ...], Int[np.ndarray, " _"]] = {}  # starts of free ranges, by their shape
     start = np.zeros(len(shape), np.int64)
-    end = first
+    end = first_entry
     # 1. Sort blocks with a page by decreasing size, then shape, and take all blocks of one shape at once.
     order = np.flatnonzero(shape.any(axis=1))
     order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
@@ -278,7 +280,7 @@ def _place_pages(
             # 2. Take ranges of the smallest shape into which the pages fit, or append one as large as any page.
             fitting = (each for each, starts in free_starts.items() if len(starts) and all(map(ge, each, page)))
             free_range = min(fitting, key=sum, default=None)
-            if free_range is None:
+            if free_range is None:  # no range of the shape `finest` is free, as any page fits into it
                 free_range = finest
                 free_starts[finest] = np.array([end])
                 end += 1 << sum(finest)
@@ -353,15 +355,16 @@ def build_tables(
     # 2. Else build a flat table, or blocks.
     else:
         bits = cells.depth.max(axis=0)
-        flat = bits.sum() <= slot_bits_of_rows(rows_of_file)
-        block_bits = 0 * bits if flat else choose_block_bits(cells, bits, max_entries(num_bytes))
+        is_flat = bits.sum() <= slot_bits_of_rows(rows_of_file)
+        # A flat table is the table of a single block, the domain.
+        block_bits = 0 * bits if is_flat else choose_block_bits(cells, bits, max_entries(num_bytes))
         shape = block_shapes(cells, block_bits)
         offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])
         leaf_of_slot = leaves_of_slots(cells, block_bits, shape, offset)
         leaf_of_slot = leaf_of_slot.astype(np.uint16 if rows <= 2**16 else np.uint32)
         slots = 1 << max(slot_bits_of_rows(rows_of_file), (len(leaf_of_slot) - 1).bit_length())
-        top = bits if flat else block_bits
-        blocks = None if flat else pack_blocks(shape, offset, FRACTION_BITS - top)
+        top = bits if is_flat else block_bits
+        blocks = None if is_flat else pack_blocks(shape, offset, FRACTION_BITS - top)
         arranged = arrange_parameters(padded(leaf_parameters, rows))
     # 3. Masks that select the highest fraction bits along each axis.
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
