@@ -33,8 +33,8 @@ class CostDistance:
         nearest: Index of the nearest source, or of one at most about 1 % farther; -1, which is the no-data value of
             a ``DataArray``, where none can be reached.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
-            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the distance apart, and up to
-            100 % near sources and beside much cheaper cells.
+            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the mean distance apart, and
+            up to 100 % of the distance near sources and beside much cheaper cells.
         plr: A PLR of the distance, without bounds and with finite values in barriers; None if not asked for. It
             answers ``inf`` where no source can be reached, except near cells that reach one.
     """
@@ -87,10 +87,11 @@ def cost_distance(
         result = plr_jax.cost_distance(costs, [(300, 900), (1_900, 400)], cell_size=30)
         result.distance, result.nearest, result.path((500, 100))
 
-    Distances are costs of paths, on average about 0.1 % above the least; the largest excess in our experiments is
-    2.2 % of the mean distance. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells
-    a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs
-    change slowly, 0.5 to 7 % where they jump.
+    Distances are costs of paths. In our experiments, without heights, errors are on average 0.03 to 0.2 % of the mean
+    distance, the largest is 2.2 %. With heights, distances differ from those of three times finer rasters by 0.6 % on
+    average. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells a front marches
+    instead, in about 110 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change
+    slowly, 0.5 to 7 % where they jump.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -106,7 +107,7 @@ def cost_distance(
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, a hiker's seconds per horizontal meter.
         from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
-        bounds: Whether to prove bounds, for costs that are constant in each cell; takes about 5 s for 160,000 cells.
+        bounds: Whether to prove bounds, for costs that are constant in each cell; takes 3 to 5 CPU s for 160,000 cells.
         max_bytes: If given, the result has a PLR of at most so many bytes.
 
     Raises:
