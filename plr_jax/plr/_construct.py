@@ -126,7 +126,7 @@ def construct(
         plr(points)  # distances (n,) of points (n, dim)
 
     Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
-    for other distance functions; ``"plane"`` for the paper's leaf and the fastest queries. Limits may be combined:
+    for other distance functions; ``"plane"`` for the paper's leaf and fast queries. Limits may be combined:
     construction stops at the first one that is reached; without limits at 512 leaves, or at 2,048 leaves in more than
     two dimensions if rooms without a path to the goal must be separated.
 
