@@ -107,7 +107,7 @@ def cost_distance(
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, a hiker's seconds per horizontal meter.
         from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
-        bounds: Whether to prove bounds, for costs that are constant in each cell; takes 3 to 5 CPU s for 160,000 cells.
+        bounds: Whether to prove bounds, for costs that are constant in each cell; 3 to 5 CPU s for 160,000 cells.
         max_bytes: If given, the result has a PLR of at most so many bytes.
 
     Raises:
