@@ -33,8 +33,9 @@ class CostDistance:
         nearest: Index of the nearest source, or of one at most about 1 % farther; -1, which is the no-data value of
             a ``DataArray``, where none can be reached.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
-            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the mean distance apart, and
-            up to 100 % of the distance near sources and beside much cheaper cells.
+            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the mean distance apart. They
+            may be up to 100 % of the distance apart near sources, and if costs of neighbors differ by a factor of 100
+            or more.
         plr: A PLR of the distance, without bounds and with finite values in barriers; None if not asked for. It
             answers ``inf`` where no source can be reached, except near cells that reach one.
     """
@@ -89,9 +90,9 @@ def cost_distance(
 
     Distances are costs of paths. In our experiments, without heights, errors are on average 0.03 to 0.2 % of the mean
     distance, the largest is 2.2 %. With heights, distances differ from those of three times finer rasters by 0.6 % on
-    average. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells a front marches
-    instead, in about 110 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change
-    slowly, 0.5 to 7 % where they jump.
+    average. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells, without bounds and
+    heights, a front marches instead, in about 110 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on
+    average where costs change slowly, 0.5 to 7 % where they jump.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
