@@ -25,7 +25,7 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 def load(path: str | os.PathLike) -> Any:
     """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote; its answers are equal, bit for bit.
 
-    The first query of a PairPLR builds large lookup tables, which takes seconds to minutes for thousands of corners.
+    The first query of a PairPLR builds large lookup tables, which takes long for thousands of corners.
     Raises ``ValueError`` if the file is truncated, corrupt, or of another kind or format version, and ``OSError`` if
     it cannot be read.
     """

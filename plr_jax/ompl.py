@@ -31,8 +31,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     The heuristic is *admissible* between free states from which the PLR's goal is reachable. The only planners that
     use it, BIT*, BFMT* and SORRT*, need no more. It is not *consistent*: bounds jump between leaves by up to
-    ``2 * plr.max_error``, so a graph search must reopen states. A call takes tens of microseconds, which pays off if
-    motion tests take longer.
+    ``2 * plr.max_error``, so a graph search must reopen states. Bounds of a new state take tenths of a millisecond,
+    which pays off if motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.

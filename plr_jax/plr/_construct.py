@@ -126,7 +126,7 @@ def construct(
         plr(points)  # distances (n,) of points (n, dim)
 
     Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
-    for other distance functions; ``"plane"`` for the paper's leaf and the fastest queries. Limits may be combined:
+    for other distance functions; ``"plane"`` for the paper's leaf and fast queries. Limits may be combined:
     construction stops at the first one that is reached; without limits at 512 leaves, or at 2,048 leaves in more than
     two dimensions if rooms without a path to the goal must be separated.
 
@@ -138,8 +138,8 @@ def construct(
         max_bytes: Largest size of the PLR's file, in bytes. Planes then choose the number of bits per coefficient.
         max_leaves: Largest number of leaves.
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
-            along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
-            ``28 // dim``.
+            along one axis as well: in the plane to 14, for other leaves than cones in small files to fewer (planes in
+            2 KB: 7), in ``dim`` > 2 dimensions to ``28 // dim``.
         tolerance: Error, in units of distance, up to which cells are not split. The error of a cell is its priority
             from ``options.should_split`` or, for cones and certified planes, its proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.

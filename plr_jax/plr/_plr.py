@@ -249,7 +249,7 @@ class PLR(FileBacked):
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
             compact: True for the bytes of :meth:`c_bytes` and their decoder, in a half to a twelfth of the memory of
-                plain tables; queries then take two to five times as long, with smooth leaves 40 times.
+                plain tables; queries then take two to five times as long, with smooth leaves 38 times.
         """
         return self.numpy().c_header(name, compact)
 

@@ -370,10 +370,11 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: points of the closed domain mostly get a finite
-        value, also in obstacles. A leaf from which the goal cannot be reached continues the plane of a neighbor that
-        reaches it; without such a neighbor, its value is ``inf``. PLRs of cones are finite in the whole domain. NaN
-        coordinates give NaN. The upper edge of the domain belongs to the last cell; along a periodic axis it is the
-        lower edge. Near the goal, values may be slightly negative.
+        value, also in obstacles. In rooms that are cut off from the goal, PLRs of most distance functions of this
+        package answer ``inf``: see :func:`construct`. Any other leaf from which no sample reaches the goal continues
+        the plane of a neighbor that reaches it, or answers ``inf`` if there is no such neighbor. NaN coordinates give
+        NaN. The upper edge of the domain belongs to the last cell; along a periodic axis it is the lower edge. Near
+        the goal, values may be slightly negative.
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, ``x`` is not real, or ``outside`` is invalid; or if

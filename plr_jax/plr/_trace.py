@@ -72,9 +72,9 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     A cone measures distances from its *source*, the goal or a corner. The path leads from the start to the source of
     the start's leaf, then to the next source on the shortest path from there, and so on. A path that starts at the
     source of its leaf leads to the next source. A path that ends at the goal is as long as the PLR's value at the
-    start. Segments between sources cross no wall, but for rounding. The first segment may cross a wall: it does if
-    the start does not see the source of its leaf, or is in an obstacle. Where the PLR answers ``inf``, there is no
-    path.
+    start, up to rounding. Segments between sources cross no wall, but for rounding. The first segment may cross a
+    wall: it does if the start does not see the source of its leaf, or is in an obstacle. Where the PLR answers
+    ``inf``, there is no path.
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
     that source does not lead to the goal, the start gets the shortest path through another source that it sees.

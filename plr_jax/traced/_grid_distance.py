@@ -111,8 +111,8 @@ def grid_distance(
             cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
         max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Maps with
             more give NaN and ``is_complete`` false. Time and memory grow with the square; without a goal, time with
-            the cube. Default: the number of cell corners inside the grid, ``(h - 1) * (w - 1)``, if it is at most
-            256 (17 x 17 cells), else half of it.
+            the cube. At most 4,096. Default: the number of cell corners inside the grid, ``(h - 1) * (w - 1)``, if
+            it is at most 256 (17 x 17 cells), else half of it.
     """
     mask = _as_mask(free)
     h, w = mask.shape
