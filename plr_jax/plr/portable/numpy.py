@@ -188,7 +188,8 @@ class NumpyPLR:
 
     A single point, as a tuple, list or array, takes a few microseconds, as does each point of an array of at most
     eight. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Bounds, points around
-    periodic axes, and points outside with ``outside`` other than ``"inf"`` take up to a few hundred microseconds per call.
+    periodic axes, and points outside with ``outside`` other than ``"inf"`` take up to a few hundred microseconds per
+    call.
 
     ``dim``, ``domain``, ``num_leaves`` and ``max_error`` are those of the :class:`PLR`. Answers are float32, except
     that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
