@@ -49,7 +49,8 @@ class MetricPairs:
         # 2. Sort the points of each pair lexicographically, and ask the PLR.
         swaps = _comes_later(x, y)[..., None]
         value = self.plr(module.concatenate([module.where(swaps, y, x), module.where(swaps, x, y)], axis=-1))
-        is_one_point = ((x == y) & (lo.astype(x.dtype) <= x) & (x <= hi.astype(x.dtype))).all(axis=-1)
+        lo, hi = (each.astype(module.result_type(x, np.float32)) for each in (lo, hi))
+        is_one_point = ((x == y) & (lo <= x) & (x <= hi)).all(axis=-1)
         return jnp.where(is_one_point, jnp.zeros_like(value), jnp.maximum(value, 0))
 
     def _ends(self) -> tuple[Any, Any, Bool[np.ndarray, "dim"]]:

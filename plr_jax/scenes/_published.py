@@ -155,7 +155,7 @@ def tangle() -> Problem:
 
 
 def _team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
-    if num_robots not in numbers:
+    if not isinstance(num_robots, int | np.integer) or num_robots not in numbers:
         choices = ", ".join(map(str, numbers))
         raise ValueError(f"The scene {name} must have {choices} robots, got {num_robots!r}.")
     return load(_FOLDER / f"{name}_{num_robots}.json")

@@ -165,7 +165,7 @@ def _(size: Any, is_mapped: list[bool], *arguments: Any):
     return (jnp.moveaxis(reached, -1, 0), jnp.moveaxis(digits, -1, 0)), (True, True)
 
 
-# Integer lengths keep sums of steps exact. 3363 / 2378 is a convergent of sqrt(2), above it by 4.4e-8.
+# Integer lengths keep sums of steps exact. 3363 / 2378 is a convergent of sqrt(2), above it by 6.3e-8.
 _STRAIGHT, _DIAGONAL, _FAR = 2378, 3363, 2**29
 MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than cells, so its length is below ``_FAR``
 

@@ -57,6 +57,9 @@ def test_periodic_line():
 def test_points_outside_the_box_are_infinitely_far(pairs):
     ends = np.array([[0.5, 0.5], [1.5, 0.5], [np.nan, 0.5]])
     np.testing.assert_array_equal(pairs(ends, ends), [0, np.inf, np.nan])
+    upper_quarter = construct_metric_pairs(manhattan, ((0.5, 0.5), (1.0, 1.0)), max_leaves=2)
+    corners = jnp.array([[0, 0], [1, 1]])
+    np.testing.assert_array_equal(upper_quarter(corners, corners), [np.inf, 0])
 
 
 def test_answers_from_file_and_far_from_origin_agree(pairs, tmp_path):

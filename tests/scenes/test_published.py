@@ -138,8 +138,8 @@ def test_wrong_arguments_raise():
         (scenes.door, [(number,) for number in (0, 1, 3, 52, 2.0, True, "2")], "num_robots must be an"),
         (scenes.crowd, [(number,) for number in (0, -1, 2.5, True)], "num_robots must be an integer"),
         (scenes.crowd, [(3, seed) for seed in (-1, 1.5, "a")], "seed must be an integer"),
-        (scenes.four_rooms, [(0,), (1,), (5,), (-3,)], "must have 2, 3, 4, 8 robots"),
-        (scenes.cross, [(0,), (1,), (5,), (-3,)], "must have 2, 3 robots"),
+        (scenes.four_rooms, [(0,), (1,), (5,), (-3,), (4.0,)], "must have 2, 3, 4, 8 robots"),
+        (scenes.cross, [(0,), (1,), (5,), (-3,), (2.0,)], "must have 2, 3 robots"),
         (scenes.perturbed, [(scenes.cross(2), 0, each) for each in (0, -1.0, np.inf)], "distance must be a positive"),
     ]:
         for each in arguments:
