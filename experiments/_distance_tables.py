@@ -366,9 +366,9 @@ def summaries(results: dict[str, Any]) -> str:
     )
     return table + (
         f"\nLimits of bytes: {limits}. Errors are shares of the mean distance of the same {pairs:,} random "
-        "free pairs. "
+        f"free pairs, in rows with * of the first {slow:,}. "
         f"Below and above: pairs whose answer is too small or too large by more than {TOLERANCE:.0e} of that mean. "
-        f"ns a pair: warm, all pairs in one call; *: not compiled as a whole, measured on the first {slow:,} pairs. "
+        f"ns a pair: warm, all pairs in one call; *: not compiled as a whole, these {slow:,} pairs. "
         "s: seconds from workspace to file, for all settings that were tried. "
         "Published: relative errors of the 160 published lengths of the arena.\n"
     )

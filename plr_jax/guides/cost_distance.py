@@ -40,8 +40,8 @@ print(result.path(village))  # vertices (n, 2)
 
 `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
 `upper` is the distance, rounded up, so only `lower` adds information. The bounds are on average 2 to 4 % of the
-mean distance apart in our experiments. Near sources they are far apart, and may be so if costs of neighbors differ by
-a factor of 100 or more.
+mean distance apart in our experiments. As a share of the distance itself, the gap is larger near sources, and may be
+so everywhere if costs of neighbors differ by a factor of 100 or more.
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)

@@ -26,8 +26,9 @@ if any robot can turn. In such a team, give robots without a heading rows `(x, y
 pass `shapely.LineString([(0, 3), (4, 3), (4, 5)]).buffer(0.1, cap_style="flat")`.
 
 Paths may touch obstacles and other robots. For a margin of 0.05, plan with robots that are larger by 0.05 on every
-side, and with the `rotation_weight` of the real robots, so that costs are equal. Check the path with the real robots:
-`plr_jax.validate(problem, solution.path).clearance` is at least 0.05, up to rounding. Robots stay 0.1 apart.
+side. If robots turn, give both problems the same `rotation_weight`, as the default grows with the robot. Check the
+path with the real robots: `plr_jax.validate(problem, solution.path).clearance` is at least 0.05, up to rounding.
+Robots stay 0.1 apart.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
 `plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the

@@ -79,7 +79,7 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
         if not callable(fn):
             raise ValueError(f"The distance function of robot {i} must be a function of (n, dim) points, got {fn!r}.")
         if isinstance(fn, DimensionedFn) and not (isinstance(fn.dim, int | np.integer) and fn.dim > 0):
-            raise ValueError(f"The `dim` of the distance function of robot {i} must be an integer of at least 1, got {fn.dim!r}.")
+            raise ValueError(f"The `dim` of the distance function of robot {i} must be 1, 2 or 3, got {fn.dim!r}.")
     first = distance_fns[0]
     if isinstance(first, StackableDistanceFn) and all(type(fn) is type(first) for fn in distance_fns):
         evaluate = first.stack(distance_fns)
