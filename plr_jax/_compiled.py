@@ -115,7 +115,7 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Colum
 
 
 def broadcast_shape(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
-    """Return the shape to which two arrays broadcast; ``names`` calls them in the ``ValueError`` if they do not."""
+    """Return the shape to which two arrays broadcast, or raise a ``ValueError`` that begins with their ``names``."""
     try:
         return jnp.broadcast_shapes(x.shape, y.shape)
     except ValueError:

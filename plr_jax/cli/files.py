@@ -150,7 +150,7 @@ def plot(
 
 
 def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
-    """Return a PLR as it is, and pairs (distances between any two points) as the distance to the one ``goal``."""
+    """Return a PLR unchanged; of distances between any two points, return the distance to the single ``goal``."""
     from plr_jax.plr import PLR
 
     if isinstance(content, PLR):

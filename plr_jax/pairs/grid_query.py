@@ -372,7 +372,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _OpenBlocks(NamedTuple):
-    """The blocks of corners of cells that are still to be tried, as words of 32 bits."""
+    """For each cell, which of its blocks (of four corners each) a search still has to try: a bit for each block."""
 
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try

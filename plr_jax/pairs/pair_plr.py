@@ -298,7 +298,10 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
         from_x, from_y = (p.astype(x.dtype) for p in (ways.from_x, ways.from_y))
         return jnp.where(is_straight, _norm(x - y), _norm(x - from_x) + _norm(y - from_y))
 
-    # Add the change of both legs due to the part of the points that 32 bits lose. All other terms have no gradient.
+    # `length` is computed in 32 bits, of rounded points x' and y', and has no gradient. With the turns i and j held
+    # fixed, a path's length changes as its legs do, with legs(x, y) = |x - i| + |y - j|, or |x - y| if straight:
+    #   length(x, y) = length(x', y') + legs(x, y) - legs(x', y').
+    # The gradient is that of legs(x, y). As legs(x', y') are computed in 32 bits, too, their rounding cancels.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 

@@ -131,7 +131,11 @@ class Scene:
         return np.ascontiguousarray(self.walls.T, np.float32)
 
     def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, " n"]:
-        """Return whether walls separate points: one crossing if paths must be certain, else one in and one out."""
+        """Return whether walls hide ``q[i]`` from ``p[i]``.
+
+        If paths must be certainly free, one crossing of a wall hides it. Else the segment must cross a wall into an
+        obstacle and one out of it.
+        """
         return are_crossed(p, q, self.wall_ends, both_ways=not self.is_certain)
 
     def encloses(self, p: _Points) -> Bool[np.ndarray, " n"]:

@@ -200,7 +200,7 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
 
 
 def number_size(ax: Axes, i: int) -> float:
-    """Return the approximate width and height of a robot's number, in workspace units."""
+    """Return the side of a square, in workspace units, that holds the number of robot ``i`` as drawn on ``ax``."""
     ax.apply_aspect()
     points = FONT_SIZE * (1 if i < 10 else 1.5)  # 72 points are one inch
     units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])

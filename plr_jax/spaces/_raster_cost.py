@@ -181,11 +181,11 @@ class RasterCost:
         Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
         cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. A cell is blocked if its
         center is at most ``inscribed_radius`` from the center of a lethal cell, even if ``inflation_radius`` is
-        smaller. So :meth:`space` for a point is the space of the robot. Up to ``inflation_radius``, rounded up to
-        whole cells as in Nav2 (by their shortest side), the cost is at least
-        ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Radii and distances are in units of the
-        bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded to bytes. ``ValueError`` if an
-        argument is negative or not finite. See
+        smaller. So a point moves in the result's :meth:`space` where a disc of this radius moves in the map. If the
+        distance to a lethal cell is at most ``inflation_radius``, rounded up as in Nav2 to a multiple of the cells'
+        shortest side, the cost is at least ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Radii
+        and distances are in units of the bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded
+        to bytes. ``ValueError`` if an argument is negative or not finite. See
         https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)

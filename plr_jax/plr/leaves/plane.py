@@ -44,7 +44,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each axis, the bits of one integer of ``half`` in cells of each depth along this axis.
+        """Return the bit widths of ``half``: by axis, how many bits an integer takes in leaves of depth 0, 1, ...
 
         ``depth`` has the depth of each leaf along each axis.
         """
