@@ -31,7 +31,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     The heuristic is *admissible* between free states from which the PLR's goal is reachable. The only planners that
     use it, BIT*, BFMT* and SORRT*, need no more. It is not *consistent*: bounds jump between leaves by up to
-    ``2 * plr.max_error``, so a graph search must reopen states. Bounds of a new state take tenths of a millisecond,
+    ``2 * plr.max_error``, so a graph search must reopen states. Bounds of a new state take time,
     which pays off if motion tests take longer.
 
     Args:

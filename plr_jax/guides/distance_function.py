@@ -62,7 +62,7 @@ print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
 the largest error in a cell. Leaves:
 
 - `"cone"`: the length of paths by way of one corner, exact in most cells. Only among polygons. Each corner takes
-  about 3 to 7 bytes in the file.
+  a few bytes of the file.
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.

@@ -154,7 +154,7 @@ def construct(
           per byte than planes, but slower to build and to query.
         - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
         - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
-          the next corner of the path changes, if the budget has room for all corners (3 to 7 bytes each). Needs a
+          the next corner of the path changes, if the budget has room for all corners (a few bytes each). Needs a
           distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
