@@ -8,15 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from plr_jax.plr.bound_classes import classify_bounds, read_classes, write_classes
 from plr_jax.plr.certificate import (
     Certificate,
     LeafBounds,
     Proof,
     StraightBound,
-    classify_bounds,
-    read_classes,
     read_proof,
-    write_classes,
     write_proof,
 )
 from plr_jax.plr.coding import BitReader, BitWriter

@@ -1,0 +1,129 @@
+"""Group leaves into classes that share error bounds, and encode the classes in files (``portable/FORMAT.md``)."""
+
+from bisect import bisect_left
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float, Int, Integer, Shaped
+
+from plr_jax.plr.coding import BitReader, BitWriter
+
+Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
+CODE_BITS = 8  # of a code of a bound
+_COUNT_BITS = 4  # bits of the number of classes less one
+_BITS_A_CLASS = 2 * 8 + 37  # two codes of bounds, and the least bits of a set: its size and the order of its code
+_PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
+
+
+def classify_bounds(
+    codes: Codes, bound_of_code: Float[np.ndarray, " codes"], volume: Float[np.ndarray, " leaves"], max_bits: int
+) -> Codes:
+    """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
+
+    ``codes`` encodes each leaf's own lower and upper bound; ``bound_of_code[i]`` is the bound that code ``i`` means.
+    ``volume`` has the leaves' volumes, the weights of the widths of their bounds. Return the codes of each leaf's
+    shared bounds.
+    """
+    # A leaf's rank is the rank of the larger of its two codes. A class has all leaves of consecutive ranks. Dynamic
+    # programming finds the classes of least sum of weighted widths plus a price per bit; bisection finds the lowest
+    # price at which the classes fit.
+    # 1. For each range of ranks: codes of the shared bounds, total width of the leaves' bounds, and bits in a file.
+    rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
+    num_ranks = len(rank)
+
+    def of_ranges(of_rank: Shaped[np.ndarray, " ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
+        # Entry [i, j] folds ranks i to j. Zeros before rank i change neither sums nor maxima of values >= 0.
+        return fold.accumulate(np.triu(np.broadcast_to(of_rank, (num_ranks, num_ranks))), axis=1)
+
+    highest = np.zeros((2, num_ranks), codes.dtype)
+    for of_rank, of_leaf in zip(highest, codes, strict=True):
+        np.maximum.at(of_rank, rank_of, of_leaf)
+    of_class = np.stack([of_ranges(of_rank, np.maximum) for of_rank in highest])
+    width = of_ranges(np.bincount(rank_of, volume), np.add) * bound_of_code[of_class].sum(axis=0)
+    members = of_ranges(np.bincount(rank_of).astype(float), np.add)
+    # A set of m of n leaves takes about m log2(n / m) bits.
+    bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
+    width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)  # from now on [last rank, first rank]
+
+    # 2. Dynamic programming over the last rank.
+    def best_classes(price: float) -> Codes:
+        # least[k] is the least cost of classes of the k lowest ranks: over all begins of the last class, the least of
+        #   least[begin] + cost of a class of ranks begin to k - 1;     first_rank[k - 1] is this begin.
+        costs = width + price * bits
+        least = np.zeros(num_ranks + 1)
+        first_rank = []
+        for last in range(num_ranks):
+            costs_to = least[: last + 1] + costs[last, : last + 1]
+            first_rank.append(costs_to.argmin())
+            least[last + 1] = costs_to[first_rank[-1]]
+        # Walk back from the class of the highest rank.
+        best = np.empty_like(highest)
+        end = num_ranks
+        while end:
+            start = first_rank[end - 1]
+            best[:, start:end] = of_class[:, start, end - 1, None]
+            end = start
+        return best[:, rank_of]
+
+    # 3. Bisection: of the falling prices, find the last one at which classes fit. If none does, there is one class.
+    prices = _PRICES * width[-1, 0]
+    num_fitting = bisect_left(prices, True, key=lambda price: not _fits(best_classes(price), max_bits))
+    return best_classes(prices[num_fitting - 1]) if num_fitting else np.broadcast_to(of_class[:, :1, -1], codes.shape)
+
+
+def requantize_bounds(
+    codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
+) -> Codes | None:
+    """Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
+
+    Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the result takes too many bits.
+    """
+    classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
+    holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)  # (classes, leaves)
+    shared = classes[:, holds.argmax(axis=0)]  # the first class that holds, which is the narrowest
+    return shared if holds.any(axis=0).all() and _fits(shared, max_bits) else None
+
+
+def _fits(codes: Codes, max_bits: int) -> bool:
+    """Return whether shared bounds take at most ``max_bits`` bits in a file."""
+    can_count = distinct_classes(codes).shape[1] <= 1 << _COUNT_BITS
+    return can_count and write_classes(BitWriter(), codes).num_bits <= max_bits
+
+
+def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
+    """Write each leaf's pair of error bounds: first all distinct pairs, then the index of each leaf's pair."""
+    key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
+    classes = np.stack(np.divmod(key, 1 << CODE_BITS))
+    order = np.argsort(-size, kind="stable")  # the largest class first, so that later sets are small
+    place = np.argsort(order)[class_of]  # of each leaf's class in this order
+    body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel(), CODE_BITS)
+    for index in range(len(order) - 1):
+        body.write_set(place > index)
+        place = place[place > index]
+    return body
+
+
+def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
+    """Return the distinct columns of ``codes``, sorted by lower, then by upper code."""
+    return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
+
+
+def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
+    lower, upper = codes.astype(np.int64)
+    return (lower << CODE_BITS) + upper
+
+
+def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
+    """Decode the pair of codes (lower, upper) of each leaf.
+
+    The file lists all distinct pairs (classes), then, for each class in turn, which of the remaining leaves belong to
+    a later class.
+    """
+    count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
+    classes = body.read_fixed_width(2 * count, CODE_BITS).reshape(2, count)
+    place = np.zeros(num_leaves, np.int64)  # of each leaf's class
+    leaf = np.arange(num_leaves)  # leaves that are in no earlier class
+    for _ in range(count - 1):
+        leaf = leaf[body.read_set(len(leaf))]
+        place[leaf] += 1
+    return classes[:, place]
