@@ -66,8 +66,11 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 def bisect(
     kernel: Callable[..., Verdict], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Bisect motions until ``kernel``, a separation test, is certain; return which pairs stay ``reach`` apart."""
-    # A negative reach allows an overlap.
+    """Return whether each pair of bodies stays ``reach`` apart during its motions; a negative reach allows overlaps.
+
+    Motions are bisected until ``kernel``, a separation test, is certain. Pairs that are still uncertain after 12
+    bisections count as too near. ``TimeoutError`` if the deadline passes.
+    """
     num_a, num_b = a.size.shape[-2], b.size.shape[-2]  # corners
     size = max(1, _CORNERS // max(num_a + num_b, num_a * num_b if reach > 0 else 0))  # distances need all pairs
     apart = np.ones(len(a.x), dtype=bool)
@@ -191,12 +194,12 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
-    """Return the gap between two bodies along a fixed direction, at the end of the motion where it is smaller."""
+    """Return the gap between two bodies along a fixed direction: the smaller of its values at begin and end."""
     return np.minimum(*((nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends))
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end."""
+    """Return the direction from body to body where two disjoint ones come nearest, and the distances at both ends."""
     # Find the point nearest to the origin in the swept Minkowski difference, the differences q - p of the corners of
     # both bodies. It is on a side of one body minus a corner of the other, at the begin or end, or on the path of a
     # difference from begin to end. Difference [:, i, j] is q[j] - p[i]: sides of p lead along axis 1, sides of q
@@ -275,7 +278,10 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distance from segments to the nearest corner of a box around the origin, or minus the overlap."""
+    """Return the distance from each segment to the nearest corner of a box around the origin.
+
+    If segment and box overlap, return minus the depth of the overlap.
+    """
     # The distance to the box is the minimum of this and of the distances from the segment's ends to the box.
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]

@@ -95,7 +95,7 @@ def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Ci
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Return, for each row, a circle around all straight motions from one of ``k`` positions to one of ``l``."""
+    """Return, for each row, a circle around the straight motions from each begin to each end position in that row."""
     return _between(_around(begin), _around(end))
 
 
@@ -203,8 +203,11 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, first_row: Rows, j: Rows
     ) -> Bool[np.ndarray, " m"]:
-        """Return whether motions of robot ``i`` hit robots ``j`` in motions of ``trajectory`` from ``first_row``."""
-        # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
+        """Return whether each of ``m`` motions of robot ``i`` hits another robot, which moves at the same time.
+
+        The motion from ``begin[k]`` to ``end[k]`` is tested against the motion of robot ``j[k]`` from row
+        ``first_row[k]`` of ``trajectory`` to the next row.
+        """
         others_begin, others_end = trajectory.path[first_row, j], trajectory.path[first_row + 1, j]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

@@ -86,7 +86,7 @@ class MotionTest:
         return is_at
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
-        """Return whether the robot is surely free at any heading with its reference point anywhere in each circle."""
+        """Return whether the robot is surely free wherever its reference point is in each circle, at any heading."""
         cell, from_center = self._locate(x, y)
         return self._clearance[cell] - from_center > radius + self.robot.circumscribed_radius
 
@@ -208,7 +208,10 @@ def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) 
 def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
 ) -> tuple[MovingBodies, Int[np.ndarray, " m"] | None]:
-    """Cut motions into equal parts up to ``longest``; also return the motion of each part, or None without cuts."""
+    """Cut each motion into equal parts no longer than ``longest``.
+
+    Also return the index of the motion to which each part belongs, or None if no motion is cut.
+    """
     whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():

@@ -141,7 +141,7 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[is_known].mean()) if is_known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bound the difference between the cost-to-go and a multilinear function from below and above in each box.
+        """Bound the cost-to-go minus a multilinear function, from below and above, in each box.
 
         A box lies in the mesh cell of index ``cell``, which is not blocked; its corners ``lo`` and ``hi`` are local
         coordinates of this cell, from 0 to 1. ``corners`` are the function's values at all corners of the box. The

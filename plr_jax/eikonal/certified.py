@@ -213,7 +213,11 @@ def _above_voxel_paths(
     coefficients: Float[np.ndarray, "leaves corners"],
     across: Float[np.ndarray, "leaves dim"],  # largest change of each leaf's function f across the leaf, by axis
 ) -> Float[np.ndarray, " leaves"]:
-    """Return upper bounds of (cost-to-go - f) in each leaf from paths along centers of voxels, or ``inf``."""
+    """Return upper bounds of (cost-to-go - leaf function f) in each leaf, by paths from voxel to voxel.
+
+    Paths lead along the centers of voxels. A bound is ``inf`` if some point of the leaf has no path, and for all
+    leaves if the space has other than three axes, a radius, or more than 2**24 voxels.
+    """
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
     # Let p be c clipped to the leaf's box. Along each axis, p lies between c and x: |x - p| <= |x - c| <= side / 2.
     # Also, |x - p| <= width of the leaf, as both are in the leaf. So

@@ -86,7 +86,7 @@ class GridEstimate:
         return tuple(np.clip(place, 0, shape - 1).T)
 
     def reach(self, domain: Box) -> Reach:
-        """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
+        """Return tests whether boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
         is_reached = np.isfinite(self.cost if self.closed_cost is None else np.minimum(self.cost, self.closed_cost))
         # Points beside a node that reaches a goal may have a value.
         mode: Any = ["wrap" if wraps else "nearest" for wraps in self.space.domain.periodic]
@@ -94,7 +94,10 @@ class GridEstimate:
         return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
     def which(self, x: Points) -> Int[np.ndarray, " n"]:
-        """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
+        """Return the index of the goal to which each point's shortest path leads.
+
+        A point without a path gets the goal of the nearest node that has a path.
+        """
         goal = self.node_goal[self._nodes(x)]
         # Less than a grid step from the nearest goal, that goal counts if the straight motion there is free.
         distance, nearest = nearest_goals(self.goals, self.space.domain, self.space.motion_cost, x)
@@ -147,7 +150,10 @@ def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> b
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:  # goals must differ
-    """Estimate the cost-to-go on a grid of at least 16 nodes for each of the ``num_leaves`` pieces of a later PLR."""
+    """Estimate the cost-to-go on a regular grid, to which a PLR of ``num_leaves`` leaves can be fitted.
+
+    The grid has at least 16 nodes per leaf, up to the largest number of nodes.
+    """
     # 1. The nodes: centers of grid cells, or of voxels that stand for groups of voxels.
     domain, motion_cost, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion_cost.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
@@ -251,7 +257,7 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Choose a regular grid of about ``num_nodes`` nodes or more: return its box and its cells' number on each axis.
+    """Choose a regular grid of about ``num_nodes`` nodes or more; return its box and its number of cells per axis.
 
     Nodes are the cells' centers. Voxels of the space, or cells of a raster cost map, are divided into an odd number
     of grid cells along each axis, or if these are too many, joined to groups of an odd number. Else the outermost
@@ -301,7 +307,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return the states of grid cells, which centers paths may pass, and which of these centers lie on no wall."""
+    """Return each grid cell's state, whether paths may pass its center, and whether they may and it is on no wall."""
     domain = space.domain
 
     def classified(lo, hi):
@@ -374,8 +380,11 @@ def _stencil_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return costs of shortest paths from nodes to goals, and the goals' indices; -1 without a path."""
-    # Edges are a few steps long, and change the coordinates of one group of axes, such as those of the position.
+    """Return the cost of each node's shortest path to a goal along edges of the grid, and the goal's index.
+
+    Without a path, they are ``inf`` and -1.
+    """
+    # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs

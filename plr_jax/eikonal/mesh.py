@@ -74,7 +74,7 @@ class Mesh:
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
-        """Nodes, as fractions of the domain, and for each cell the indices of its corners among them."""
+        """The nodes, as fractions of the domain, and the indices of each cell's corners among the nodes."""
         # Each axis has as many slots as the finest cells fill. A cell is 2**size slots wide, so its corners lie at
         # whole places from 0 to `slots`, in units of a slot; the last place of a periodic axis is its first one. The
         # places of all axes, packed into one integer, are the key of a node.
@@ -115,7 +115,10 @@ class Mesh:
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
-        """Convert fractions of the domain to local coordinates; along periodic axes, of the nearest image."""
+        """Convert fractions of the domain to local coordinates of cells.
+
+        Along periodic axes, a point counts as its image nearest to the cell.
+        """
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 

@@ -5,8 +5,9 @@ and along every motion rises by no more than the motion costs. The alternating d
 maximizes the function's integral; the multipliers are a flow along cheapest paths. At last the values are rescaled
 until they satisfy the constraints, rounding included. So the bound is proven after any number of iterations.
 
-:class:`CellCosts` has the constraints, and :class:`SlopeSets` the same as sets of gradients. :class:`SlopeProgram` is
-the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system of each of its steps.
+:class:`CellCosts` bounds the costs of motions, and :class:`SlopeSets` derives the sets in which gradients must lie.
+:class:`SlopeProgram` is the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system that
+each step of the method solves.
 
 References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
 degenerate elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.

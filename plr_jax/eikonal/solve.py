@@ -61,15 +61,16 @@ def solve_eikonal(
         plr = plr_jax.solve_eikonal(cost.space(radius=0.3), goal=(5, 1), cost_map=cost, max_bytes=8192)
         plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
-    Here the space is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
-    upper bounds, which hold for every point from which the goal can be reached.
+    Here the space has the free places of a ball's center among the unblocked cells. ``plr(x)`` is an estimate between
+    the lower and the upper bounds, which hold for every point from which the goal can be reached.
 
     Args:
         space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves
             nothing: a cell counts as free or blocked if all its samples do.
         goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Of several, such as exits, the nearest
             counts, and ``plr.which(x)`` returns its index.
-        cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
+        cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None:
+            the factor is 1 everywhere.
         max_leaves: Most leaves, and most cells of the mesh on which bounds are computed. More cells give tighter
             bounds, even if ``max_bytes`` stays equal, and take longer. None, if not certified: as many as
             ``max_bytes`` allows, else 2,000, or 4,000 in three dimensions. None, if certified: 2,000 on a line,
@@ -403,7 +404,10 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, most_added: int, iterate: Iterate) -> tuple[Int[np.ndarray, " some"], int]:
-        """Return cells to refine, most urgent first, and how many cells to add, at most ``most_added`` for each."""
+        """Return the cells that may be refined, most urgent first, and how many cells refinement may add in all.
+
+        Each refined cell adds at most ``most_added`` cells.
+        """
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)  # of open cells
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow

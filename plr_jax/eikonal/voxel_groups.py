@@ -23,7 +23,7 @@ _RANKS = 2  # shares are rounded to so many steps
 class VoxelGroups:
     """Cubes of ``size`` voxels along each axis; each is a node that stands for one connected part of its free voxels.
 
-    The part is what faces join, within the group, to the group's free voxel nearest to the middle (``x``)::
+    The part consists of all voxels that faces join, within the group, to the free voxel ``x`` nearest to its middle::
 
         # # # | . . .      If no face joins the parts of neighbor groups, one of their nodes is closed: the node in
         . x . | . x .      the wider place, so that tunnels stay open, or else of the smaller part. A group that holds
@@ -42,7 +42,7 @@ class VoxelGroups:
     def of(
         cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
     ) -> "VoxelGroups":
-        """Group the voxels of a domain; ``shape`` has the number of groups along each axis, ``box`` is theirs."""
+        """Group the voxels of a domain; ``shape`` counts the groups along each axis, ``box`` holds all groups."""
         # 1. Pad the voxels so that groups fill the box. Find groups whose voxels are all free, and those with any.
         dim, side = free.ndim, domain.width / free.shape
         size = round(float((box.width / side / shape)[0]))
@@ -115,10 +115,10 @@ class VoxelGroups:
         return cost, self._costs_across_faces(cost, slowness)[1]
 
     def _costs_across_faces(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        """Return the least costs of paths through voxels of unknown cost, to each group's part and to its voxels.
+        """Return the least costs at which paths reach each group's part, and any of its voxels of unknown cost.
 
         Paths begin at voxels of parts whose cost is known. From there they lead across faces through free voxels of
-        other parts. Costs are ``inf`` where no such path leads; also for parts whose cost is known.
+        unknown cost. Costs are ``inf`` where no such path leads; also for parts whose cost is known.
         """
         # 1. The voxels of unknown cost.
         dim, size, shape = self.free.ndim, self.size, np.array(self.free.shape)

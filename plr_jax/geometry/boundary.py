@@ -74,7 +74,11 @@ class Boundary:
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
     def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
-        """Return the points ``within`` a distance of an edge (None: all), their nearest edges, and feet on these."""
+        """Project the points that lie ``within`` a distance of an edge (None: all points) onto their nearest edges.
+
+        Returns:
+            The indices of these points in ``x``, the indices of their nearest edges, and the projected points.
+        """
         points: Any = shapely.points(x)
         point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)
         lines: Any = self.tree.geometries[edge]
@@ -146,7 +150,7 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, " old_vertices"], Int[np.ndarray, " old_edges"]]:
-    """Return the index among ``vertices`` or ``edges`` of each vertex and edge of ``old``; -1 if it is gone."""
+    """Return the index in ``vertices`` of each old vertex, and in ``edges`` of each old edge; -1 if it is gone."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -180,9 +184,9 @@ def boxes_near(
 
 
 def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
-    """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry.
+    """Return the part of the region that lies within ``radius`` of its boundary, as a Shapely geometry.
 
-    Chords replace arcs around corners; if ``outside``, tangents do.
+    Arcs around reflex corners are replaced by their chords or, if ``outside``, by polylines of their tangents.
     """
     #    sector .- - - - - - -     The part consists of strips on the left of all edges, and of sectors of discs at
     #         /  |   strip         reflex corners: from the strip of the edge that starts at the corner c,
@@ -262,7 +266,10 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
 
 def _repaired(name: str, shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
-    """Return the union of invalid polygons, each without its holes, if no ring crosses itself."""
+    """Return an invalid polygon made valid: the union of its parts, each without its holes.
+
+    ``ValueError`` if a ring crosses itself.
+    """
     parts = []
     for part in shapely.get_parts(shape):
         outer, *holes = (_inside_of_ring(name, ring) for ring in shapely.get_rings(part))
@@ -342,7 +349,11 @@ def advice_on_cells(value: object) -> str:
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
-    """Check the bounds of a workspace: a box in the plane, not periodic, whose size and place numbers can resolve."""
+    """Check that a value can be the bounds of a workspace, and return it as a Box.
+
+    It must be a 2-D box without periodic axes, and not too large, small, slender or far from the origin for 64-bit
+    coordinates.
+    """
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")
@@ -388,7 +399,7 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
 
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
-    """Return the Shapely geometries with all vertices that are within ``tolerance`` of one another made equal."""
+    """Make vertices of Shapely geometries equal if they are within ``tolerance`` of one another; return copies."""
     # Group the distinct vertices that chains of such pairs join. The first of a group, by x, then y, replaces all.
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)

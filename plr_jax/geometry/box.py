@@ -214,7 +214,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """A 2-D slice of a box: coordinates along ``axes`` vary, and all others are those of the point ``at``."""
+    """A 2-D slice of a box: coordinates along ``axes`` vary, all other coordinates equal the point ``at``'s."""
 
     domain: Box
     axes: tuple[int, int]
@@ -222,7 +222,7 @@ class Slice:
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
-        """Return the slice of a box on which coordinates are fixed: ``at`` maps axes to values (None: none)."""
+        """Return the slice on which the axes in ``at`` have the coordinates given there, and the two others vary."""
         at = {} if at is None else at
         are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
         if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):

@@ -1,4 +1,4 @@
-"""Sample points and convex pieces of boxes, and the corners that each sees, computed once for many goals."""
+"""Sample points and convex pieces of boxes, and the corners that each of them sees, computed once for many goals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,7 +40,10 @@ class FamilySamples:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
-        """Choose a sample in each box ``lo[i]`` to ``hi[i]``, all of one size, and find where paths may turn."""
+        """Choose a sample point in each box ``lo[i]`` to ``hi[i]``, and find where paths from it may turn first.
+
+        All boxes have the same size.
+        """
         # 1. Sample boxes without walls at their centers: the box is free or blocked as a whole.
         x, weight = (lo + hi) / 2, np.ones(len(lo))
         at_wall = np.unique(triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0])
@@ -146,7 +149,7 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
-    """The sources, turn points and visibility polygon of one goal, as cells of a family need them."""
+    """The data of one goal that :func:`cells_of_goals` needs: sources, turn points and the visibility polygon."""
 
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn
@@ -156,8 +159,9 @@ class FamilyGoal(NamedTuple):
 def cells_of_goals(
     shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
 ) -> CellSources:
-    """Return pieces of boxes with their sources: cell ``i`` is box ``box[i]``, for paths to ``goals[goal_of[i]]``.
+    """Return cells with their convex pieces and *sources*: points to which shortest paths from a piece may go first.
 
+    Cell ``i`` is the free part of box ``box[i]``, with the sources of paths to ``goals[goal_of[i]]``.
     Source ``g * count`` is goal ``g``, and source ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``, with
     ``count`` 1 more than the number of corners.
     """
@@ -211,7 +215,7 @@ def cells_of_goals(
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
-    """Join the sources and turns of several goals, one goal after the other, with what corners see."""
+    """Join the sources and turn points of several goals, one goal after the other, into one :class:`Sight`."""
     num, count = len(goals), 1 + len(corners.points)
     # 1. Viewpoints are all goals, then all corners. Keys begin with 4 times the viewpoint's index.
     goal_table = joined_tables([goal.view for goal in goals])

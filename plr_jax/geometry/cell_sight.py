@@ -80,10 +80,10 @@ class Shadows:
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        """Return whether viewpoints see the centers of convex pieces, and whether the same holds for whole pieces.
+        """Return whether each viewpoint sees the center of its convex piece, and whether that holds for all of it.
 
-        Piece ``i``, with a point ``center[i]`` inside, is tested for viewpoint ``view[i]``. The viewpoint sees all or
-        nothing of the piece if no shadow crosses the piece.
+        Viewpoint ``view[i]`` is tested with piece ``i``, which contains the point ``center[i]``. It sees all or
+        nothing of a piece that no shadow crosses: then the second result is True.
         """
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         # 1. Find the range of keys strictly inside each piece. Keys of one viewpoint run from 0 to 4,
@@ -294,10 +294,10 @@ class CellSources:
         return replace(self, num_cells=int(num_cells.sum()), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
-        """Return parts of cells as cells, with centers, distances and sources.
+        """Cut cells in two, and return the parts as new cells, with centers, distances and sources.
 
-        Part ``i`` is the box ``lo[i]`` to ``hi[i]``: cell ``parent[i]`` above (``is_upper``) or below a cut across
-        ``axis[i]``.
+        New cell ``i`` is the box from ``lo[i]`` to ``hi[i]``: the part of cell ``parent[i]`` above the cut
+        (``is_upper[i]``) or below it. The cut is perpendicular to ``axis[i]``.
         """
         # 1. Compute the signed distances of the corners of pieces from the cut, positive in the part.
         rows, cell = take_ragged(self.first_piece, parent)
@@ -314,9 +314,10 @@ class CellSources:
         return part.merge_free_boxes(is_cut, lo, hi)
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Replace the pieces of each cell without walls by one, the whole box, and drop pieces without area.
+        """Merge the pieces of each cell without walls into one piece, the whole box, and drop pieces without area.
 
-        Then prune the sources of merged pieces and of ``changed`` ones. Cell ``i`` is the box ``lo[i]`` to ``hi[i]``.
+        Then prune the sources of merged pieces and of ``changed`` pieces. Cell ``i`` is the box ``lo[i]`` to
+        ``hi[i]``.
         """
         # 1. Find the walls of cells with several pieces. All these pieces are parts of triangles (`triangle` >= 0),
         #    and walls in the cell are sides of these triangles. Wall ``i`` belongs to cell ``cells[index[i]]``.
@@ -356,7 +357,7 @@ class CellSources:
         return merged.of_pieces(kept).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop the sources of changed pieces that no point of a piece sees, or at which no path from it turns."""
+        """Drop each source of a changed piece that no point of the piece sees, or at which no path from it turns."""
         # 1. Compute the centers of changed pieces. A path straight to the old center bounds the distance of the new.
         has_goal = self.sight.has_goal
         center = self.center.copy()
@@ -385,9 +386,10 @@ class CellSources:
         return replace(moved, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
-        """Find the best source of each changed piece, and drop the sources through which no path is shorter.
+        """Find the best source of each changed piece, and drop its sources that offer no shorter path from any point.
 
-        ``by_center`` says whether the center of a pair's piece sees its source. Pieces without a path are dropped.
+        ``by_center`` says, for each pair of a piece and a source, whether the piece's center sees the source. Pieces
+        without a path to the goal are dropped.
         """
         # 1. Find the best source s of each center c, with the least distances[s] + |c - points[s]|; ties prefer
         #    sources that all of the piece sees.
@@ -425,7 +427,10 @@ class CellSources:
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
-    """Return the sight of goals, then corners, whose distances are known; source ``i`` is viewpoint ``i``."""
+    """Return the :class:`Sight` of sources with known distances: goals, then corners.
+
+    Source ``i`` is viewpoint ``i`` of the visibility table.
+    """
     index = np.arange(len(sources.points))
     turn = np.full(len(index), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[:num_goals] = -1
@@ -434,7 +439,10 @@ def goal_sight(
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
-    """List, for each triangle, where paths may go first: all goals, and corners that see a part of the triangle."""
+    """List, for each triangle, the sources to which paths may go first: all goals, and corners that see a part of it.
+
+    Goals are sources 0, 1, ...; corners follow.
+    """
     # The goals come before the corners of each triangle, so the list of triangle t begins num_goals * t later.
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
@@ -442,7 +450,10 @@ def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the sight of all corners without a goal: each corner is two sources, those of :func:`turns_by_side`."""
+    """Return the :class:`Sight` of all corners, without a goal and distances.
+
+    Each corner is two sources, one for each way to bend around it: see :func:`turns_by_side`.
+    """
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)
@@ -450,7 +461,10 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 
 
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
-    """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
+    """Return the corners where paths from cells may turn first, as arrays ``(cell, corner, is_seen_by_all)``.
+
+    The last array says whether every point of the cell is known to see the corner.
+    """
     # 1. Unite both sources of a corner, 2 c and 2 c + 1, in pairs (piece, corner). If a piece has both, their
     #    `by_all` are equal, since they are seen from the same viewpoint.
     count = np.int64(len(cells.sight.turns.points) // 2)

@@ -114,7 +114,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
-    """Return what all corners and the goal see after a change, computed again only where it may differ."""
+    """Return what all corners and the goal see after a change; recompute only what the change may affect."""
     #    at_vertex[c]   old corner at the vertex of new corner c; -1 if there is none
     #    matched[c]     at_vertex[c] if both have equal sectors, else -1
     #    reused[c]      matched[c] if what the corner sees has not changed either, else -1
@@ -178,7 +178,7 @@ def changed_visibility(
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
-    """Return which viewpoints may see a change: they saw a wall that is gone, or may see a changed part."""
+    """Return whether each viewpoint may see the change: it saw a wall that is gone, or may see a changed edge."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
@@ -228,9 +228,10 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Return a table of viewpoints of several tables, before or after the change.
+    """Assemble the visibility table after a change from viewpoints of several tables.
 
-    Each part is a table, the viewpoints to take from it, and their indices in the result.
+    Each part is a table, made before or after the change, the viewpoints to take from it, and their indices in the
+    result.
     """
     # 1. Copy the viewpoints, and find the rows of their intervals in the result.
     num_views = sum(len(views) for _, views, _ in parts)

@@ -138,7 +138,10 @@ def highest(values: Values) -> Numbers:
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> Extremes:
-    """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - other_offset - |x - other_apex|``."""
+    """Return the minimum and maximum of the difference of two cones over the points ``x`` of each piece.
+
+    The difference is ``offset + |x - apex| - other_offset - |x - other_apex|``.
+    """
     least, most = np.empty((2, len(offset)))
     is_short = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))  # at most four corners
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_short)), (pieces.shape[2], np.flatnonzero(~is_short))):
@@ -150,7 +153,7 @@ def difference_of_cones(
 
 
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
-    """Return the extremes over each piece of ``|x - apex| - |x - other_apex|``."""
+    """Return the minimum and maximum of ``|x - apex| - |x - other_apex|`` over the points ``x`` of each piece."""
     # The extremes lie on the boundary. Inside, the gradient, a difference of unit vectors, vanishes only on the line
     # through both apexes, on the rays that lead from one apex away from the other. On such a ray the difference is
     # constant, from the apex (a kink) to the boundary, which so has the same value. On an edge the difference is
@@ -172,7 +175,10 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
 
 
 def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
-    """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - (slope . x + intercept)``."""
+    """Return the minimum and maximum of a cone minus a plane over the points ``x`` of each piece.
+
+    The difference is ``offset + |x - apex| - (slope . x + intercept)``.
+    """
     # The difference is convex, so largest at a corner, and smallest on an edge or at the apex. With u = x - apex, it
     # is |u| - slope . u + at_apex. On an edge, it is smallest where the distance to the apex rises as the plane does.
     # With `along`, the foot of the apex on the edge's line, and `beside`, its distance from the line, this is where

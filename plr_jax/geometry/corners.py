@@ -1,4 +1,4 @@
-"""The corners at which shortest paths turn, what they see, and where paths to one goal turn first."""
+"""The corners at which shortest paths turn, what each corner sees, and where paths to one goal turn first."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -53,7 +53,8 @@ class ReflexCorners:
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     """Return the corners at which shortest paths may turn, and the same corners as viewpoints.
 
-    They are reflex vertices and, if paths may squeeze through, contacts.
+    These corners are the reflex vertices of free space. If paths may squeeze through, they include the *contacts*:
+    points in which obstacles touch.
     """
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
@@ -93,9 +94,9 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, " pairs"], seen: Int[np.ndarray, " pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return pairs of corners that see one another along a line tangent to the walls at one of them or both.
+    """Return the pairs of corners that see one another along a line tangent to the walls at one corner or both.
 
-    Corner ``view[i]`` sees corner ``seen[i]``.
+    The arguments list what corners see: corner ``view[i]`` sees corner ``seen[i]``. Each pair is returned once.
     """
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
@@ -150,7 +151,10 @@ class TurnPoints:
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return lengths of paths from each point by each corner to the goal; NaN outside the corner's cone."""
+        """Return the length of the path from each point straight to each corner, and on to the goal.
+
+        It is NaN if the point lies outside the corner's cone. Visibility is not tested.
+        """
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -159,7 +163,10 @@ class TurnPoints:
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
-        """Return the first corner on each point's shortest path with a turn (-1: no path), and the path's length."""
+        """Find the shortest path of each point that turns at a corner; return the path's first corner and its length.
+
+        Corners are numbered as in ``vertex``, also for ``sees``. Without a path, they are -1 and ``inf``.
+        """
         turn, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
@@ -172,7 +179,7 @@ def find_turn_points(
     parents: Int[np.ndarray, " vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return the corners at which shortest paths may first turn; ``vertices`` are goals, then corners."""
+    """Return the corners at which shortest paths to a goal may turn first; ``vertices`` are goals, then corners."""
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     #
     #                                 . onward, to the goal
@@ -216,7 +223,10 @@ class TurnRegions:
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
-        """Return the first turn of each point's shortest path with a turn (-1: no path), and its length."""
+        """Find the shortest path of each point that turns at a corner; return the path's first corner and its length.
+
+        Corners are numbered as in ``turns.vertex``, also for ``sees``. Without a path, they are -1 and ``inf``.
+        """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
         point, first, triangle = triangles_at(self.triangulation, places)
@@ -252,10 +262,10 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
-    """Return the points that are not at a vertex, and the triangles that contain each: one, or two beside a side.
+    """Return the triangles that contain each point, as arrays ``(point, first, triangle)``.
 
-    The ``i``-th point of the result is in the triangles from place ``first[i]`` up to ``first[i + 1]`` of the list,
-    where ``first`` is the second array, and the list the third.
+    Point ``point[i]`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on
+    the side between them. Points at vertices are left out.
     """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3

@@ -19,7 +19,7 @@ _CHUNK = 1 << 18  # lengths computed at a time
 # A visibility test: given indices of points and of candidates for the first vertex of a path, return whether each
 # point sees its candidate.
 Sees: TypeAlias = Callable[[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
-# The candidate of each point, -1 for none, and the length of the path.
+# For each point: the first vertex of its shortest visible path (-1: no path), and the path's length (inf: no path).
 FirstVisible: TypeAlias = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
 VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]  # several for each point
 
@@ -72,11 +72,14 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
 
 
 def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2) -> VisiblePaths:
-    """Return the first vertices of each point's ``count`` shortest visible paths (-1: too few), and the lengths.
+    """Return the first vertices of each point's ``count`` shortest visible paths, and the lengths of these paths.
 
-    A path from point ``i`` by vertex ``k`` has length ``lengths[i, k]`` (NaN excludes the path), and is visible if
-    ``sees(i, k)``. Visibility is tested in rounds: first of the ``at_once`` shortest paths of each point, or of
-    ``count`` if that is more, then of ``2 * at_once`` times as many paths in each round.
+    The path from point ``i`` whose first vertex is ``k`` has length ``lengths[i, k]``; NaN excludes it. It is visible
+    if ``sees(i, k)``. If a point has fewer than ``count`` visible paths, its last vertices are -1, with length
+    ``inf``.
+
+    Visibility is tested in rounds. The first round tests the ``max(at_once, count)`` shortest paths of each point.
+    Each further round tests ``2 * at_once`` times as many paths as the round before.
     """
     num_ways = lengths.shape[1]
     visible_way, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)

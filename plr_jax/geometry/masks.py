@@ -27,7 +27,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 # 8-connected, and everything outside the grid is blocked.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
-CLEARANCE = 0.25  # pixels that links without a common end keep from one another
+CLEARANCE = 0.25  # pixels: least distance between two segments of simplified outlines that share no end
 Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
@@ -38,7 +38,7 @@ class PixelRings:
 
     points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
     start: Int[np.ndarray, " rings_and_1"]
-    is_contact: Bool[np.ndarray, " n"]  # whether two rings meet at a corner, or one ring twice, between free pixels
+    is_contact: Bool[np.ndarray, " n"]  # whether two diagonal free pixels touch there: rings pass the corner twice
 
 
 def pixel_rings(free: Mask) -> PixelRings:
@@ -125,7 +125,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
-    """Return the stations of outlines, and whether two outlines, or one twice, meet at each of them."""
+    """Return the stations of outlines, and whether each of them is a contact, where diagonal free pixels touch."""
     # A ring r of k corners has 2 k + 1 stations before middles are dropped. If its first corner is number n of all
     # rings' corners, its corners are the stations of_corner = 2 n + r, 2 n + r + 2, ... The last repeats the first:
     #
@@ -170,7 +170,11 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
-    """Return the farthest later station to which a link from each station may go."""
+    """Return, for each station, the farthest later station to which a straight link may go from there.
+
+    A link may go there if all corners of the outline between are within ``tolerance`` pixels of the link, and none of
+    these corners is a contact.
+    """
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
     # A corner at distance d allows directions up to arcsin(tolerance / d) from its own, or all if d is within the
@@ -208,9 +212,10 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
 
 
 def _unwanted_links(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> list[list[int]]:
-    """Return the links that come near others or surround another ring, but none along the exact outline.
+    """Return the links that come near other links or surround another ring, as pairs (first station, last station).
 
-    Links join consecutive kept stations of a ring, and are given by their first and last station.
+    A link is the segment between two consecutive kept stations of a ring. Links along the exact outline are never
+    returned.
     """
     kept = np.flatnonzero(is_kept)
     links = np.stack([kept[:-1], kept[1:]], axis=1)
@@ -242,7 +247,10 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, " m"]:
-    """Return which links enclose another outline, together with the part of their outline that they replace."""
+    """Return whether each link, together with the stretch of the outline that it replaces, encloses another outline.
+
+    Link ``i`` leads from station ``first[i]`` to station ``last[i]`` of one ring.
+    """
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     ring_start = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -279,13 +287,13 @@ def placed_region(
 
 
 def rounded_one_by_one(region: Any, grid: float) -> Any:
-    """Round each vertex of a region of pixels to a multiple of ``grid``, much smaller than a pixel."""
-    # No edges meet, since they are a quarter of a pixel apart.
+    """Round each vertex of a region of pixels to a multiple of ``grid``, which is much smaller than a pixel."""
+    # Rounding makes no two edges meet, since they are a quarter of a pixel apart.
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
-    """Raise a ``ValueError`` if coordinates of pixels overflow, or a pixel is not much larger than their rounding."""
+    """Raise ``ValueError`` if coordinates of pixels are too large, or pixels not much larger than rounding errors."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:

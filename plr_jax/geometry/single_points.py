@@ -1,7 +1,8 @@
 """Location and visibility of single points, in plain Python.
 
-A query of one point is ten times faster in Python floats than in NumPy. Where rounding could matter, the functions
-for batches decide; elsewhere, both use the same arithmetic. So both give results that are equal to the bit.
+A query of one point is ten times faster in Python floats than in NumPy. Where rounding could matter, this module
+leaves the answer to the functions for batches. Elsewhere it uses the same arithmetic as they do. So its results equal
+the results of a batch to the bit.
 """
 
 from bisect import bisect_right
@@ -15,8 +16,10 @@ from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable
 
-FEW = 32  # largest batch that is answered point by point: on the maze and den520d, then half as long as a batch
-# In tolerances: if a segment is farther from all vertices of its triangles, rounding cannot change what it crosses.
+# Largest batch that is answered point by point. On two maps (maze, den520d), 32 points take half as long as a batch.
+FEW = 32
+# A distance, in tolerances. If a segment is farther than this from all vertices of the triangles that it crosses,
+# rounding cannot change which sides it crosses.
 _NEAR = 4
 
 
@@ -48,7 +51,7 @@ class PointLocator:
         self._grid, self._tolerance = triangulation.grid, triangulation.tolerance
 
     def place(self, x: float, y: float) -> Place | None:
-        """Locate a point; return None outside free space, and if rounding matters: near two sides of a triangle."""
+        """Return a point's place. None if it is outside free space, or so near two sides that rounding matters."""
         # 1. Find the cell of the locator's grid.
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
@@ -71,7 +74,10 @@ class PointLocator:
         return [a * x + b * y - c, d * x + e * y - f, g * x + h * y - i]
 
     def _place_near_side(self, x: float, y: float, half_edge: int) -> Place | None:
-        """Decide exactly on which side of a half-edge a point lies, or on both; None if it is near another side."""
+        """Return the place of a point near a half-edge: on one side of it, or on both. The test is exact.
+
+        None if the point is outside free space, or also near another side.
+        """
         triangle, twin = half_edge // 3, self._twin[half_edge]
         beyond = twin // 3 if twin >= 0 else triangle
         if twin >= 0 and sorted(self._heights(beyond, x, y))[1] <= self._tolerance:
@@ -152,7 +158,10 @@ class CornerSight(PointSight):
         self._opens, self._closes = map(_flat, visibility.corners.walls)
 
     def may_turn(self, corner: int, place: Place) -> bool:
-        """Return whether a shortest path from a place may turn at a corner: it is tangent there, and seen."""
+        """Return whether a shortest path from a place may turn at a corner.
+
+        It may if the segment to the corner is free, and both walls at the corner lie on one side of its line.
+        """
         i, slack = 2 * corner, self._slack
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]
         opens = self._opens[i] * dy - self._opens[i + 1] * dx

@@ -40,9 +40,10 @@ class Locator:
     lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return each point's triangle, or a nearby one (-1: none), and its least signed distance to a side's line.
+        """Return the triangle that contains each point, and the point's least signed distance from its sides' lines.
 
-        The distance is negative outside of the triangle. It may have a wrong sign by rounding.
+        The distance is positive inside of the triangle, up to rounding. If no triangle contains the point, the result
+        is a nearby triangle with a negative distance, or -1 and ``-inf`` if the point's cell meets no triangle.
         """
         column, row = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int).T
         cell = column * self.shape[1] + row
@@ -129,7 +130,8 @@ class Triangulation:
         """Return each point's triangle, and on which side of the triangle's three edges the point lies.
 
         The side is 1 inside, 0 on the edge's line, and -1 outside. Points must be multiples of ``grid``. A point
-        outside the region gets a nearby triangle, with a -1. ``triangle`` has first guesses.
+        outside the region gets a nearby triangle, with a -1. The search begins at the triangles ``triangle``, by
+        default at triangles of a locator.
         """
         # 1. Choose the triangles at which walks begin. Points far inside a triangle of the locator need no walk.
         turn = np.ones((len(x), 3))
@@ -191,7 +193,8 @@ class Triangulation:
     ) -> Bool[np.ndarray, " n"]:
         """Return whether a free path within ``tolerance`` of the segment from ``a`` to ``b`` joins the two points.
 
-        The path may pass through contacts on the segment; without ``squeeze``, only where the segment begins or ends.
+        The path may pass through *contacts*, points where the region touches itself, near the segment. Without
+        ``squeeze``, it may do so only where the segment begins or ends.
         """
         # Breadth-first search of triangles, for all segments at once: state pair * num + triangle. The neighbors of a
         # level lie in this level, the one before, or the next one, so only two levels are remembered.

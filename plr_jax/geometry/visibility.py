@@ -131,7 +131,11 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
 
 
 def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Yield cones that end at walls, and pairs of a viewpoint with a vertex seen and with a triangle visited."""
+    """Let cones advance from triangle to triangle until all end at walls.
+
+    Each step yields the cones that have ended, pairs (viewpoint, visible vertex) and pairs (viewpoint, triangle that
+    a cone enters).
+    """
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
         # 1. Cones through walls end. The others go on.
@@ -272,7 +276,7 @@ class VisibilityTable:
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    """Return the table of all viewpoints, one table after the other, of tables for the same boundary."""
+    """Join tables of one boundary into one table, which has the viewpoints of the first table, then of the next."""
     points, cut, key, edge, vertex = concatenated(tables, "points", "cut", "key", "edge", "vertex")
     first = np.append(0, np.cumsum(np.concatenate([np.diff(table.first) for table in tables])))
     views = np.cumsum([0] + [len(table.points) for table in tables[:-1]])

@@ -135,7 +135,8 @@ class VoxelGrid:
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
         """Edges and corners where free voxels touch, but no faces join them: pairs (normal axes, table of counts).
 
-        A table's index is the number of a voxel along an edge, and of the voxel below the edge or corner across it.
+        Index ``k`` of a table means the face between voxels ``k`` and ``k + 1`` along a normal axis, and voxel ``k``
+        along any other axis.
         """
         contacts, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
@@ -182,7 +183,10 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Flood-fill, in each row of voxels around a point, the ``free`` voxels from the ``live`` ones, across faces."""
+    """Flood-fill across faces, from ``live`` voxels through ``free`` ones; return the voxels that are reached.
+
+    Each row has the ``2**dim`` voxels around one point, and is filled on its own.
+    """
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -205,7 +209,11 @@ def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
 
 
 def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
-    """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
+    """Return tests of boxes in ``domain`` for a goal on a grid of cells, which fill ``bounds``.
+
+    ``reached`` and ``cut_off`` say which cells reach the goal, and which free cells do not. Array axes are coordinate
+    axes.
+    """
     from scipy import ndimage
 
     # 1. Repeat cells along periodic axes, a period more on either side.

@@ -146,7 +146,8 @@ class Workspace:
             row0: ``"bottom"`` if the first row has the lowest ``y``; ``"top"`` if the highest, as in images.
             tolerance: Largest distance, in pixels, between the simplified and the exact outline, either way. Half a
                 pixel makes inclined walls straight; 0 keeps every corner.
-            drop_specks: Blocked components of at most this many pixels become free, then such free ones blocked.
+            drop_specks: Connected components of at most this many pixels are removed: blocked components become free,
+                then free components become blocked.
             squeeze: Whether a path may pass between two obstacles that touch in a single point.
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
@@ -250,7 +251,7 @@ class Workspace:
         return is_reached & np.isin(np.arange(len(x)), beside)
 
     def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points that reach one of several goals; None if all reach one."""
+        """Return tests whether boxes of a domain hold free points that reach a goal; None if all free points do."""
         # 1. Find the connected parts of free space that reach a goal.
         parts = shapely.get_parts(self.free_space)
         if len(parts) < 2:
@@ -406,13 +407,19 @@ class Workspace:
 def joined_parts(
     parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
 ) -> Bool[np.ndarray, " parts"]:
-    """Return which polygons hold one of the points, or touch such polygons if paths may squeeze through contacts."""
+    """Return whether each polygon contains one of the points, to ``tolerance``.
+
+    If paths may squeeze through contacts, polygons also count that a chain of touching polygons joins to such a one.
+    """
     places, group = np.asarray(shapely.points(points)), part_groups(parts, may_squeeze)
     return np.isin(group, group[shapely.STRtree(parts).query(places, predicate="dwithin", distance=tolerance)[1]])
 
 
 def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, " parts"]:
-    """Number polygons equally that touch one another if paths may squeeze through contacts, else all differently."""
+    """Return a group number for each polygon.
+
+    If paths may squeeze through contacts, touching polygons have the same number. Else all numbers differ.
+    """
     if not may_squeeze:
         return np.arange(len(parts))
     pairs = shapely.STRtree(parts).query(parts, predicate="intersects")

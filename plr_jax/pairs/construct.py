@@ -67,7 +67,10 @@ def outline_of(
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
-    """Return all points, ring by ring, and where each ring begins; point ``following[i]`` comes after point ``i``."""
+    """Divide points into rings; point ``following[i]`` comes after point ``i``.
+
+    Return ``(order, first)``: ring ``k`` has the points ``order[first[k] : first[k + 1]]``.
+    """
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -80,15 +83,16 @@ def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " 
 
 
 def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
-    """Follow the walls around obstacles instead of free space, so that paths may pass where obstacles touch.
+    """Open the contacts of an outline (points where obstacles touch), so that paths may pass between the obstacles.
 
-    Return the new outline, and the boundary vertex at each of its points, given those of the old outline.
+    The rings of the new outline follow walls around obstacles instead of around free space. ``vertex`` is the
+    boundary vertex at each point of the outline. Return the new outline, and the vertex at each of its points.
 
     All contacts stay closed if a wall of a thin obstacle begins or ends in a contact. For tests of visibility, walls
     move back into their obstacles, so that rounding hides no corner, but walls of thin obstacles stay in place
     (:meth:`Outline.moved_walls`). Beside an open contact, rounding would decide whether such a wall hides the corner
     in the contact. Paths through a closed contact use several corners there, one in each sector of free space beside
-    it; edges join them (:func:`corners_in_outline`).
+    the contact. Edges join these corners (:func:`corners_in_outline`).
     """
     # Whether the wall that leaves each point, or the one that arrives at it, belongs to a thin obstacle.
     is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
@@ -100,11 +104,11 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
-    """Return the largest power of two or ten to whose multiples points round distinctly, within the tolerance.
+    """Return the largest lattice step, a power of two or ten, to whose multiples points can be rounded.
 
-    Coordinates change by at most a quarter of the ``clearance``, the least distance of a point from a wall that does
-    not end there. If steps of at least ``FINEST`` widths are too coarse, return a finer power of two, without these
-    guarantees.
+    Rounded points must stay distinct. Coordinates may change by at most the ``tolerance``, and by at most a quarter
+    of the ``clearance``, the least distance of a point from a wall that does not end there. If steps of at least
+    ``FINEST`` widths are too coarse, return a finer power of two, without these guarantees.
     """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
@@ -156,7 +160,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the leaves of the tree in which only nodes with a larger key are halved."""
+        """Return the leaves of a smaller tree, in which only nodes with a key above ``key`` are halved."""
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         is_halved = ~self.is_leaf & (self.key > key)
         is_in_tree = np.append(True, is_halved[self.parent[1:]])
@@ -230,7 +234,7 @@ def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Li
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
-    """Return the convex pieces of free space in the domain, one cell, and the corners that each piece may see."""
+    """Return the convex pieces of free space, and the corners that each may see; the domain is their only cell."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 

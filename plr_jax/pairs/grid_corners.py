@@ -26,7 +26,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
-    """Return the path length in units, on an empty grid, of cells that are so many rows and columns apart."""
+    """Return the path length, in units, between cells that are ``rows`` and ``columns`` apart on an empty grid."""
     straight = abs(rows - columns)
     diagonal = (rows + columns - straight) // 2  # the smaller of rows and columns
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -247,7 +247,10 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
-    """Distances between all obstacle corners: those between centers near them, plus small differences."""
+    """Distances between all obstacle corners, stored as distances between a few corners and small differences.
+
+    The few corners are *centers*, one near each corner.
+    """
 
     center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
@@ -307,7 +310,7 @@ _Edges = list[dict[int, int]]  # for each corner, lengths of edges by their othe
 
 
 def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
-    """Return path lengths between all obstacle corners of a grid; ``ValueError`` if they are too many or too long."""
+    """Return path lengths between all obstacle corners; ``ValueError`` if corners are too many or paths too long."""
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds two straight legs
     if most < 0:
         raise ValueError(_TOO_LONG)

@@ -104,7 +104,7 @@ def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
-    """Return, for pairs of cells, whether each path that is shortest on an empty grid is free of obstacles.
+    """Return, for each pair of cells, whether no obstacle blocks any path that would be shortest on an empty grid.
 
     A cell that is not free sees no cell.
     """
@@ -323,7 +323,10 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path."""
+    """Return the length of a path that is likely to be shortest, and which blocks of corners may have a shorter path.
+
+    Blocks are given for each of both cells, by bits of an integer: see :class:`_OpenBlocks`.
+    """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)
     total = leg + tables.distances.between(corner, other) + other_leg
@@ -335,9 +338,10 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tupl
 
 
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: Flags) -> tuple[_Lengths, _Lengths]:
-    """Return the stored corner of each cell over which the path would be shortest on an empty grid, and its distance.
+    """Return, for each cell, one of the corners that are stored for it, and the path length from cell to corner.
 
-    The distance is the path length from the cell to the corner; FAR if the cell has no corner or sees the other cell.
+    It is the corner over which the path to the other cell would be shortest on an empty grid. The length is FAR if
+    the cell has no corner or sees the other cell.
     """
     first, count = _blocks_of(tables, cells)
     count = jnp.where(is_seen, 0, count)
@@ -396,7 +400,7 @@ class _OpenBlocks(NamedTuple):
 
 
 def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
-    """Return the least of ``length`` and of paths over one of the corners left for each of both cells."""
+    """Return the least of ``length`` and of the lengths of paths over one corner from each cell's open blocks."""
 
     # Loop over all pairs of a word of the first cell and a word of the second cell, then over pairs of set bits.
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:

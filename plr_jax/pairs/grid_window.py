@@ -114,13 +114,14 @@ def _lengths_of_rim(
 
 
 def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
-    """Return ``lengths`` with the entries where ``is_wanted`` replaced by path lengths that the tables tell.
+    """Look up path lengths in the tables where ``is_wanted``, and return them together with the other ``lengths``.
 
-    Paths lead from ``cells``, those on the rim (the border) of each agent's window, to the agent's ``goal``.
+    ``cells`` are the cells on the rim (the border) of each agent's window. Paths lead from them to the agent's
+    ``goal``.
     """
-    # 1. List the wanted cells agent by agent: a wanted cell comes after those of agents before, and those before it
-    #    on its own rim. `count` has the number of each agent's wanted cells, `until` that up to each cell. Cells are
-    #    numbered in the order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.
+    # 1. List the wanted cells agent by agent, and for each agent in the order of its rim. `count` is the number of
+    #    wanted cells of each agent, `until` the number on its rim up to and with each cell. Cells are numbered in the
+    #    order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.
     size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
     all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])

@@ -6,7 +6,7 @@
   corner is not between a part of the box and the corner.
 - Occluders, long chords inside obstacles, test any two points. Tests of a few dozen chords replace most tests of
   walls.
-- :func:`updated`: compute only the rows of an array that need it, in batches.
+- :func:`updated` recomputes only some rows of an array, in batches.
 """
 
 from collections.abc import Callable
@@ -74,10 +74,10 @@ class NearWalls:
     def of(
         boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, shape: _Shape
     ) -> "NearWalls | None":
-        """Find the walls of each list entry; None if testing all walls is as fast.
+        """Find the walls that may hide each listed corner from its leaf; None if testing all walls is as fast.
 
-        Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``, which ascends. ``shape`` is that of
-        ``first``.
+        List entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``, and leaves ascend. ``shape`` is the
+        shape of the result's array ``first``.
         """
         # For each entry, a query reads as many walls as the longest list has. A wall that a point reads for itself
         # takes `_COST` times as long as a wall that all points share. So no time is saved if the longest list has
@@ -245,7 +245,10 @@ def _near_entries(
 def _near_pairs(
     hulls: Hulls, entry: PairIndices, walls: Walls, wall: PairIndices, margin: float
 ) -> Int[np.ndarray, " near"]:
-    """Return the indices of pairs, a hull ``entry[k]`` and a wall ``wall[k]`` each, that are near one another."""
+    """Return the indices ``k`` for which the hull ``entry[k]`` and the wall ``wall[k]`` are near one another.
+
+    No pair within ``margin`` is missing; a few pairs are farther apart.
+    """
     # A wall is apart if an axis across a side of the hull or across the wall separates both by more than the margin.
     # Below, `u x v` is the cross product, positive if v is to the left of u.
     lo, hi, corner = hulls

@@ -33,7 +33,10 @@ _Lengths = Float[np.ndarray, "n"]
 
 
 def point_rounding(half: Any, middle: Any) -> Any:
-    """Bound the error of a distance by the rounding of points, given the domain's half width and ``abs(middle)``."""
+    """Bound the error of a distance that is due to the rounding of points to 32 bits.
+
+    ``half`` is half the width of the domain, and ``middle`` the absolute value of its middle, both along each axis.
+    """
     # Points in 64 bits, relative to the middle, are rounded to 32 bits: an error of at most an eps of `half`. From
     # points in 32 bits, `first`, the middle in 32 bits, is subtracted, then `rest`, its rounding error: each
     # difference is at most about `half`, so that both err by at most an eps of it, and `first + rest` is the middle
@@ -65,7 +68,10 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 def are_crossed(
     p: _Points, q: _Points, walls: Float[np.ndarray, "4 walls"], both_ways: bool = False
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
+    """Return whether each segment from ``p`` to ``q`` crosses any wall.
+
+    With ``both_ways``, it must cross both a wall into an obstacle and a wall out of an obstacle.
+    """
     crossed = np.zeros(len(p), bool)
     for part in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
         inward, outward = crossings(p[part].T[:, :, None], q[part].T[:, :, None], walls)

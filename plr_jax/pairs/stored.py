@@ -17,7 +17,7 @@ from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
-MITRE = 4.0  # how far a point moves at most if walls move by 1; farther for tips, which are closed again
+MITRE = 4.0  # most that a point moves if walls move by 1; tips may move farther, and added walls then close the gap
 _COUNT_BITS = 32  # of the number of rings in a file
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
@@ -154,8 +154,9 @@ class Outline:
     def moved_walls(self, distance: float, *, moves_all: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
 
-        A negative distance moves all walls into free space, at sharp corners less. A positive distance moves walls of
-        thin obstacles only if ``moves_all``; if not, more walls follow, which close the gaps at contacts and tips.
+        A negative distance moves all walls into free space, by less beside sharp corners. A positive distance moves
+        walls of thin obstacles only if ``moves_all``. Without ``moves_all``, the result has more walls at its end,
+        which close the gaps at contacts and tips.
         """
         # Into obstacles, a contact moves to one place in each obstacle, and a sharp tip moves far. So that no path
         # slips through, two walls of opposite directions join the new place to the old place of a contact, or to a
@@ -206,8 +207,8 @@ class Outline:
         """Return how points move with their walls: a point moves by minus ``distance`` times its vector.
 
         Vectors lead into free space. Walls move by ``distance``, less at sharp corners. If it is positive and not
-        ``moves_all``, two kinds of points stay: those between two walls of thin obstacles, and both ends of a wall
-        that would change direction, as at the end of a thin obstacle.
+        ``moves_all``, two kinds of points stay: points between two walls of thin obstacles, and both ends of a wall
+        that would be turned round, as at the end of a thin obstacle.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions

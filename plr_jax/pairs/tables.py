@@ -66,7 +66,7 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
-    """Return the size of tables of corners."""
+    """Return the number of rows of a table with a row for each corner, padding included: above ``num_corners``."""
     # One of few sizes, so that few functions are compiled, with room for a corner at `inf`.
     return size_in_eighths(num_corners + 1)
 

@@ -335,7 +335,10 @@ class Run:
             self.record(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State, in_groups: bool) -> State:
-        """Replan robots one by one, then ``in_groups`` until a path is accepted or little is gained."""
+        """Replan robots one by one and, if ``in_groups``, in groups until the cost is accepted or little is gained.
+
+        Return the lattice nodes of the new path, ``(steps, robots)``.
+        """
         joint, budget = searches.joint, self.budget
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
         if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:

@@ -42,7 +42,9 @@ class Moves(NamedTuple):
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
-    neighbors: Neighbors  # other robot, and by primitive, its primitives that collide
+    # Of each robot: the other robots that it may hit. An entry is the other robot and, for each primitive of this
+    # robot, the set of the other's primitives that collide with it; no set if none collides.
+    neighbors: Neighbors
 
 
 class TeamMoves:
@@ -130,7 +132,8 @@ class TeamMoves:
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
         """Yield pairs of robots that may meet in one step, grouped by kinds.
 
-        Each item has two kinds ``a <= b``, and for ``m`` pairs the robots of kind ``a`` and those of kind ``b``.
+        Each item is ``(a, b, first, second)``: two kinds ``a <= b``, and ``m`` pairs of a robot ``first[k]`` of kind
+        ``a`` and a robot ``second[k]`` of kind ``b``.
         """
         x, y = position.T
         dx, dy = x[:, None] - x, y[:, None] - y
@@ -154,7 +157,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 
 
 class PIBT:
-    """A search for one collision-free step of the team: the motions chosen so far, and those still allowed."""
+    """A search for one collision-free step of the team: the motions chosen so far, and the motions still allowed."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -183,7 +186,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose a robot's best motion for which all robots in its way find a motion; return whether it exists."""
+        """Choose a robot's best motion for which all robots in its way find motions; return whether one exists."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -213,7 +216,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
-        """Let those of ``robots`` that have not chosen a motion choose one; return whether all could."""
+        """Let each of ``robots`` that has no motion yet choose one; return whether all could."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:

@@ -175,7 +175,7 @@ class Kind:
 
 
 class Lattice:
-    """The lattice of one robot: that of its kind, with the robot's own start and goal."""
+    """The lattice of one robot: the lattice of its :class:`Kind`, with the robot's own start and goal."""
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
@@ -361,7 +361,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Return the indices of the robots of each kind, equal in shape and rotation weight: they share a table."""
+    """Group robots of equal shape and rotation weight (a *kind*); return the indices of the robots of each kind."""
     kinds = defaultdict(list)
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)

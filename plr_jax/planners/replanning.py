@@ -222,7 +222,8 @@ def lifelong(
             the robot stays near its place until that robot has another goal, or the two swap places.
         num_goals: Number of goals to serve, at least 1. Goals reached at the same time may add a few more.
         options: Options of :func:`bl_plan`; the time limit applies to each replanning. Ignored if ``plan`` is given.
-        plan: A planner, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives. None: as above.
+        plan: A planner, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives. None: robots are
+            planned one by one, as described above.
 
     Raises:
         ValueError: If ``num_goals`` is invalid, or a goal has a wrong shape, is not free, or is cut off by obstacles.

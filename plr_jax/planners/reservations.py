@@ -102,7 +102,10 @@ class ReservationTable:
         return [colliding[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Move robot ``i``, now without reservations, to its cheapest free path up to ``max_cost``; False if none."""
+        """Move robot ``i`` to its cheapest free path that costs at most ``max_cost``; return whether there is one.
+
+        The caller must have undone the robot's reservations. The result is also False if a limit is reached.
+        """
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()

@@ -146,9 +146,9 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
     """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch.
 
-    After each group, the caller may move the group's robots in these rows of ``path``, in place. The pairs that
-    follow are those of the changed path: once robot i has moved, ``touch`` is computed again. (If only robot j has
-    moved, ``touch`` changes in column j alone, which is not read again.)
+    After each group, the caller may move the group's robots in these rows of ``path``, in place. Later pairs are
+    found on the changed path: once robot i has moved, ``touch`` is computed again. (If only robot j has moved,
+    ``touch`` changes in column j alone, which is not read again.)
     """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
@@ -174,9 +174,9 @@ def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.nda
 def _shortened_in_corridors(
     problem: Problem, trajectory: TeamTrajectory, group: Group, test: JointMotionTest, width: float, diagonal: bool
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return the cheapest collision-free configurations of a group, out of its robots' corridors.
+    """Return the cheapest collision-free path of each robot of a group in the group's rows.
 
-    The first and the last row of the group stay.
+    In each row, a robot may take any configuration of its corridor. The first and the last row stay as they are.
     """
     require_time(test.deadline, "all corridors were searched")
     robots, rows = group
@@ -262,13 +262,14 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion between configurations of two rows, the least cost of a path with it.
+    """Return, for each motion between configurations of two rows, the least cost of a path that contains it.
 
     Entry ``[k, a, b]`` of ``cost`` is the cost from configuration ``a`` of row ``k`` to ``b`` of row ``k + 1``. Paths
     begin and end at configuration 0 of the first and the last row.
     """
     # Dynamic programming in both directions at once. so_far[k, 0, a] is the least cost from the start to
-    # configuration a of row k. so_far[k, 1, a] is that from configuration a, k rows before the last one, to the end.
+    # configuration a of row k. so_far[k, 1, a] is the least cost from configuration a of the row k rows before the
+    # last one to the end.
     # So so_far[::-1, 1][k] is from row k + 1 to the end: with n motions, this is n - 1 - k rows before the last one.
     both_ways = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)

@@ -77,14 +77,17 @@ class Timetable:
         return is_free
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the time steps at which robot ``i`` meets others, on motion ``q`` or at rest after it, and whom."""
+        """Return when robot ``i`` meets other robots on motion ``q``, or at rest after it, and which robots.
+
+        The results are the time step and the other robot of each meeting.
+        """
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " rows"]:
-        """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
+        """Return, for each row, the first row from there on at which ``q`` is free for ``patience`` rows."""
         # The result is inf if there is no such row. Robots at rest block `q` for `patience` rows after the last row.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
@@ -160,14 +163,14 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
         require_time(deadline, "a robot was planned")
         batch = [heapq.heappop(open_states)[2] for _ in range(min(len(open_states), _BATCH))]
         num_expanded += len(batch)
-        # Motions that may lead to an earlier arrival: `k` is the place of the parent in the batch.
+        # Find motions that may lead to an earlier arrival: `k` is the index of the parent in the batch.
         begin, since = np.array([nodes[state] for state in batch]), np.array([rows[state] for state in batch])
         end, until = child[begin], since[:, None] + duration[begin]
         arrival = soonest(end, until)
         k, primitive = np.nonzero(arrival < best)
         end, until, arrival = (column[k, primitive] for column in (end, until, arrival))
         until = until.astype(int)
-        # Those to states that are not visited yet, and on which the robot meets nobody.
+        # Keep the motions to states that are not visited yet, on which the robot meets nobody.
         keys = list(zip(end.tolist(), (until // _WAIT).tolist(), strict=True))
         new = np.array([n for n, key in enumerate(keys) if key not in visited], dtype=int)
         begin, since = begin[k[new]], since[k[new]]
@@ -205,9 +208,9 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
     """Return robot ``i``'s motion along waypoints ``q``, with straight motions that skip waypoints where possible.
 
-    The result has a configuration per time step (row of the timetable). The robot arrives at each waypoint that is
-    left at the latest in the waypoint's ``row``, and waits there if it arrives early and cannot go on. In a time step
-    it moves by ``length``, with turns weighted by ``weight``.
+    The result has a configuration per time step (row of the timetable). The robot arrives at each waypoint that it
+    does not skip in the waypoint's ``row`` or earlier, and waits there if it cannot go on yet. In a time step it
+    moves by ``length``, with turns weighted by ``weight``.
     """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     parts = [q[:1]]
