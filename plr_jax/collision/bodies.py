@@ -100,7 +100,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
     # In a unit of time, a function f falls below the smaller of f(0) and f(1) by at most max |f''| / 8. Along an axis
     # that turns with a, the offset of b has |f''| <= far * turn_a**2 + 2 * speed * |turn_a|, and the extent of b,
     # which turns by turn_b - turn_a against the axis, radius_b * (turn_b - turn_a)**2. The extent of a is constant.
-    # Here `far` is the largest distance of the reference points, and `speed` that of their relative motion.
+    # Here `far` is the largest distance of the reference points, and `speed` the speed of their relative motion.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -199,7 +199,10 @@ def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """Return the direction from body to body where two disjoint ones come nearest, and the distances at both ends."""
+    """Return the direction, from the first body to the second, in which two disjoint bodies come nearest.
+
+    Also return their distances at the begin and at the end of the motion.
+    """
     # Find the point nearest to the origin in the swept Minkowski difference, the differences q - p of the corners of
     # both bodies. It is on a side of one body minus a corner of the other, at the begin or end, or on the path of a
     # difference from begin to end. Difference [:, i, j] is q[j] - p[i]: sides of p lead along axis 1, sides of q

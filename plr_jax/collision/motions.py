@@ -95,14 +95,17 @@ def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Ci
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Return, for each row, a circle around the straight motions from each begin to each end position in that row."""
+    """Return a circle for each row, around all straight motions between positions in that row.
+
+    Motions lead from each of the row's ``k`` begin positions to each of its ``l`` end positions.
+    """
     return _between(_around(begin), _around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
     """Return a circle for each step but the last, around all straight motions to the next step.
 
-    A motion leads from one of the step's ``k`` positions to one of the next step's.
+    A motion leads from one of the step's ``k`` positions to one of the ``k`` positions of the next step.
     """
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))

@@ -109,7 +109,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
         for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
             tested = motion[short][piece]
             is_clear[tested[squared_distances(grid, q0[:, tested], q1[:, tested], voxel) < radius**2]] = False
-        # 4. Halve the others, unless their motion hits a voxel.
+        # 4. Halve the remaining parts, unless their motion hits a voxel.
         halved = is_clear[motion] & ~short
         width /= 2
         motion, begin = np.tile(motion[halved], 2), np.append(begin[halved], begin[halved] + width)
@@ -232,7 +232,7 @@ class _Traversal:
         return np.take_along_axis(around, self.corner | beyond, axis=1)
 
     def _free_around(self, motions: Int[np.ndarray, " some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        # `span`: the step, along each axis, from the voxels with bit 0 to those with bit 1.
+        # `span`: the step, along each axis, from the voxels with bit 0 to the voxels with bit 1.
         index = self.strides @ self.at[:, motions]
         return self.grid.padded.ravel()[index[:, None] + (span.T * self.strides) @ self.bits.T]
 

@@ -51,7 +51,7 @@ class MotionTest:
         #    its length from there, and the robot `size` from the piece. A point is tested by `is_visible` instead.
         self._longest = max(2 * cell, size) if size > 0 else np.inf
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
-        # 3. Compute the clearance at each center, and the edges within reach: those of cell i are
+        # 3. Compute the clearance at each center, and the edges within reach: cell i has the edges
         #    _edge[_first[i] : _first[i + 1]].
         counts, edges, clearance = [], [], []
         for begin in range(0, len(centers), _CENTERS):

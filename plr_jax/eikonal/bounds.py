@@ -164,8 +164,8 @@ class CostToGoField:
             # 1. Lower bounds. Let f be the given function. The proven bound is g(u): u is the solution, a polynomial
             #    of degree n along each axis of the cell, and g the rescaling, whose slopes are from 0 to 1. So
             #    g(u) - u falls with u: in the box it is at least `bent`, its value at the largest u. The Bernstein
-            #    coefficients of u (`control`) enclose u. Those of f, written with degree n, are its values on the
-            #    lattice. So
+            #    coefficients of u (`control`) enclose u. The coefficients of f, written with degree n, are its values
+            #    on the lattice. So
             #      g(u) - f >= min over the lattice of (control - f)  +  bent.
             #    The bound h by straight motions is concave in the box, and f is linear along each axis. So h - f is
             #    concave along each axis, and least at a corner.

@@ -48,7 +48,7 @@ class FunctionSpace:
         """Return, for each axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative.
 
         The derivative along an axis is divided by the axis's ``scale``. Rows are the control points of the first open
-        cell (a cell that is not blocked), then those of the second open cell, and so on.
+        cell (a cell that is not blocked), then the control points of the second open cell, and so on.
         """
         # 1. The values at the nodes of open cells, and the widths of these cells.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)

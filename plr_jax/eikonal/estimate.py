@@ -307,7 +307,10 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return each grid cell's state, whether paths may pass its center, and whether they may and it is on no wall."""
+    """Return, for each grid cell, its state, whether its center is open, and whether it is open and on no wall.
+
+    Paths may pass open centers.
+    """
     domain = space.domain
 
     def classified(lo, hi):

@@ -95,7 +95,7 @@ def carried_goals(
     decoded = read & ((1 << bits) - 1)
     is_code = (decoded < num_goals) & (code[np.minimum(decoded, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
     # 3. Elsewhere take the goal of the neighbor with the largest weight. Pointer doubling follows these neighbors to
-    #    nodes whose bits are those of a goal, or that have no neighbor.
+    #    nodes whose bits are the code of a goal, or that have no neighbor.
     best = neighbor[weights.argmax(axis=0), np.arange(len(order))]
     ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
     while (ahead != ahead[ahead]).any():

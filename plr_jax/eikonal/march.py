@@ -95,9 +95,10 @@ def marched(
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
     """Return whether the coarse grid of every second node shows the same walls, and no jumps of the costs ``factor``.
 
-    It must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are neighbors
-    along an axis. If both are open, the node between them must be open too, and their costs must not jump. If one
-    is closed, the other must be closed or lie on a wall: ``is_clear`` marks the open nodes that lie on no wall.
+    The grid must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are
+    neighbors along an axis. If both are open, the node between them must be open too, and their costs must not jump.
+    If one is closed, the other must be closed or lie on a wall: ``is_clear`` marks the open nodes that lie on no
+    wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False

@@ -166,8 +166,8 @@ class _FreeGraph:
         by_cell = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
         owner, hanging = np.divmod(by_cell, len(self.points))
 
-        # 2. List the nodes of all cells: `num` corners for each cell, then the hanging nodes of each cell. Those of
-        #    cell c have the places from `first_hanging[c]` up to `first_hanging[c + 1]`.
+        # 2. List the nodes of all cells: `num` corners for each cell, then the hanging nodes of each cell. The
+        #    hanging nodes of cell c have the places from `first_hanging[c]` up to `first_hanging[c + 1]`.
         num = mesh.corners.shape[1]
         nodes_of_cells = np.append(mesh.corners, hanging)
         first_hanging = mesh.corners.size + np.searchsorted(owner, np.arange(len(mesh.state) + 1))
@@ -225,7 +225,8 @@ class _FreeGraph:
     def upper_bounds(self, begin: Nodes, end: Nodes) -> EdgeCosts:
         """Return upper bounds of the costs of straight motions; ``inf`` for a motion that leaves the free cells."""
         # Walk from cell to cell. A motion takes the time t from 0 to 1; `velocity` is its change per unit of time, in
-        # fractions of the domain. At t, its cell is that at t + ahead, so that at a face the cell it enters counts.
+        # fractions of the domain. Its cell at t is the cell of its place at t + ahead: at a face, the cell that it
+        # enters counts.
         #     within   local coordinates in this cell at t + ahead
         #     speed    their change per unit of time
         #     to_face  time from t + ahead to the cell's face, for each axis

@@ -211,7 +211,7 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """Return the least costs of motions by the vectors ``-flow``, the support functions of the sets."""
+        """Return lower bounds of the costs of motions by the vectors ``-flow``: the support functions of the sets."""
         # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|; of a segment,
         # the larger value at its ends -pulls[0] and -pulls[1]; of a sum of sets, the sum of their support functions.
         of_ball = self.radius * np.sum(self.lengths(flow), axis=0)
@@ -408,7 +408,7 @@ class _Splitting:
             inflow = inflow if len(inflow) == 1 else system.stiffness * (program.goal @ potential)
         # 3. Penalties of |flow| / radius make multipliers as long as gradients may be; where little flows, penalties
         #    are larger.
-        norm = program.sets.costs(flow) / radius  # |flow|, but for pulls
+        norm = program.sets.costs(flow) / radius  # equals |flow| if there are no pulls
         positive = norm[norm > 0]
         self._penalty = np.maximum(norm, least_penalty * np.median(positive) if positive.size else 1.0) / radius
         stiffness = np.maximum(inflow, _LEAST_INFLOW * inflow.mean()) / across

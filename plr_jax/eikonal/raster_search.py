@@ -94,10 +94,10 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Search on ``parts`` of cells; return tables of whole cells, and the paths.
+    """Search for paths between parts of cells; ``parts`` is the number of rows and columns of parts in each cell.
 
-    The tables are costs of paths, indices of sources and, with ``bounds``, lower and upper bounds, each from the
-    middle part of a cell.
+    Return tables of whole cells, and the paths. The tables are costs of paths, indices of sources and, with
+    ``bounds``, lower and upper bounds, each from the middle part of a cell.
     """
     fine = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1)
     part_side = side / parts[::-1]
@@ -155,8 +155,8 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     factor = (1 + _ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
     around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
-    # 4. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
-    #    there.
+    # 4. Subtract the largest value that a source may have: the value of its cell's center, plus the cost of the
+    #    motion to the center.
     home = cells_of(points, side, cost.shape)
     to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
     home = tuple(home.T)
@@ -202,7 +202,7 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
     """
     # 1. The next cell of each cell: of the sixteen cells around it (x), the one through which the distance is least.
     #      . x . x .      Eight steps and their opposites. For a step (i, j), `part(values, (0, 0))` are the values of
-    #      x x x x x      all cells from which the step stays in the raster, and `part(values, (i, j))` those of the
+    #      x x x x x      all cells from which the step stays in the raster, `part(values, (i, j))` the values of the
     #      . x o x .      cells to which it leads.
     #      x x x x x
     #      . x . x .
@@ -363,10 +363,10 @@ def _straight_costs(
 def _mean_factor(
     i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope, from_sources: bool
 ) -> np.ndarray:
-    """Return the mean factors of motions by ``(i, j)`` cells, from all cells if ``from_sources``, else back to them.
+    """Return, for each cell, the mean factor of the motion between it and the cell at the offset ``(i, j)``.
 
-    A motion is cut into as many equal parts as it has cells along its longer axis. Each part has the factor of its
-    slope.
+    The motion leads to the offset if ``from_sources``, else back from there. It is cut into as many equal parts as it
+    has cells along its longer axis. Each part has the factor of its slope.
     """
     # At the ends of parts, the place along the longer axis is whole. Along the other axis it is between two cells, i0
     # or j0 and the next one: interpolate their heights.

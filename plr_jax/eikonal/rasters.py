@@ -90,11 +90,11 @@ def cost_distance(
         result.distance, result.nearest, result.path((500, 100))
 
     Distances are costs of paths. In our experiments, without heights, errors are on average 0.03 to 0.2 % of the mean
-    distance, the largest is 2.2 %. With heights, distances differ from those of three times finer rasters by 0.6 % on
-    average. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells, without bounds and
-    heights, a front marches instead, in about 110 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on
-    average where costs change slowly, 0.5 to 7 % where they jump. A cell much longer than wide counts as several
-    cells, as the search divides it into parts that are about square.
+    distance, the largest is 2.2 %. With heights, distances differ from distances on three times finer rasters by
+    0.6 % on average. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells, without
+    bounds and heights, a front marches instead, in about 110 bytes a cell, with the errors of scikit-fmm: 0.1 to
+    0.3 % on average where costs change slowly, 0.5 to 7 % where they jump. A cell much longer than wide counts as
+    several cells, as the search divides it into parts that are about square.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -106,7 +106,7 @@ def cost_distance(
             lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to ``i + 1``, times
             ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
         cell_size: Side of a cell, or both ``(x, y)``; for arrays only.
-        heights: Height of each cell, in the unit of ``cell_size``, for directed costs; barriers like those of costs.
+        heights: Height of each cell, in the unit of ``cell_size``, for directed costs; barriers as in ``costs``.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, a hiker's seconds per horizontal meter.
         from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
@@ -184,7 +184,7 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and ``flips``.
+    """Return the costs in the order of ascending coordinates, ``inf`` in barriers; their box; and ``flips``.
 
     ``flips`` are slices that reverse the axes whose coordinates descend: applied once, they sort the cells; applied
     twice, they restore the given order.

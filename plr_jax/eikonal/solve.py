@@ -67,8 +67,8 @@ def solve_eikonal(
     Args:
         space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves
             nothing: a cell counts as free or blocked if all its samples do.
-        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Of several, such as exits, the nearest
-            counts, and ``plr.which(x)`` returns its index.
+        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Of several goals, such as exits, the
+            nearest one counts, and ``plr.which(x)`` returns its index.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None:
             the factor is 1 everywhere.
         max_leaves: Most leaves, and most cells of the mesh on which bounds are computed. More cells give tighter

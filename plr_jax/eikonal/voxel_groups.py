@@ -26,8 +26,8 @@ class VoxelGroups:
     The part consists of all voxels that faces join, within the group, to the free voxel ``x`` nearest to its middle::
 
         # # # | . . .      If no face joins the parts of neighbor groups, one of their nodes is closed: the node in
-        . x . | . x .      the wider place, so that tunnels stay open, or else of the smaller part. A group that holds
-        # # # | # # #      a goal stays open, and its ``x`` is the goal's voxel.
+        . x . | . x .      the wider place, so that tunnels stay open, or else the node of the smaller part. A group
+        # # # | # # #      that holds a goal stays open, and its ``x`` is the goal's voxel.
     """
 
     box: Box  # of all groups; it may extend beyond the voxels
@@ -43,7 +43,8 @@ class VoxelGroups:
         cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
     ) -> "VoxelGroups":
         """Group the voxels of a domain; ``shape`` counts the groups along each axis, ``box`` holds all groups."""
-        # 1. Pad the voxels so that groups fill the box. Find groups whose voxels are all free, and those with any.
+        # 1. Pad the voxels so that groups fill the box. Find the groups in which all voxels are free, and the groups
+        #    in which any voxel is free.
         dim, side = free.ndim, domain.width / free.shape
         size = round(float((box.width / side / shape)[0]))
         before = np.rint((domain.lo - box.lo) / side).astype(int)
@@ -95,11 +96,12 @@ class VoxelGroups:
         return cls(box, size, free, part, has_part, is_open, box.lo + middles * side)
 
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        """Return the costs of all open nodes, and costs of the groups' other voxels, from the ``cost`` of a march.
+        """Complete the ``cost`` of a march: return the cost of each open node, and of each group's other voxels.
 
-        The first result is ``cost``, modified in place. A march misses nodes to which only other voxels lead. It
-        begins again in each region of these nodes, at the node nearest to the goal. For a group, the cost of its
-        other voxel that is nearest to the goal is returned: ``inf`` if it has none, or no path leads there.
+        Other voxels are free voxels that belong to no part of known cost. The first result is ``cost``, modified in
+        place. A march misses nodes to which only other voxels lead. So the march begins again in each region of
+        missed nodes, at the node nearest to the goal. The second result is the cost of the group's other voxel that
+        is nearest to the goal: ``inf`` if the group has no other voxel, or no path leads there.
         """
         of_parts, others = self._costs_across_faces(cost, slowness)
         labeled: Any = ndimage.label(self.is_open & np.isfinite(of_parts))  # finite: the march missed the node

@@ -161,7 +161,10 @@ def match_boundary(
 def vertices_near_edges(
     vertices: Vertices, edges: Edges, tolerance: float, some_vertices: VertexRows, some_edges: EdgeRows
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-    """Return pairs of ``some_vertices`` and ``some_edges`` within ``tolerance``, except an edge with its own ends."""
+    """Return the pairs of one of ``some_vertices`` and one of ``some_edges`` that are within ``tolerance``.
+
+    The two arrays hold the indices of vertices and of edges. The ends of an edge make no pair with the edge.
+    """
     # First drop vertices far from the box of all edges, then edges far from the box of the remaining vertices.
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
@@ -293,7 +296,7 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
-    """Return the bounds, and free space as the union of components with holes, cut off at the bounds."""
+    """Return the bounds, and free space: the union of the components, each without its holes, within the bounds."""
     # 1. Check each component, and subtract its holes.
     polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
@@ -455,7 +458,10 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return free space as :func:`region_of` does, but do not test parts of the boundary that are also in ``old``."""
+    """Return free space as :func:`region_of` does, in less time.
+
+    Parts of the boundary that are also in ``old`` are not tested for walls and gaps that are too thin.
+    """
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

@@ -80,7 +80,7 @@ class Box:
         return self.hi - self.lo
 
     def at(self, fraction: Float[np.ndarray, "*n axes"]) -> Float[np.ndarray, "*n dim"]:
-        """Return points at fractions ``(..., dim)`` of the widths, or ``(..., 1)`` for one fraction for all axes."""
+        """Return the points ``lo + fraction * width``; fractions are ``(..., dim)``, or ``(..., 1)`` for all axes."""
         # All faces of cells and voxels come from this formula, so that equal faces are equal to the bit.
         return np.where(fraction == 1, self.hi, self.lo + self.width * fraction)
 
@@ -107,9 +107,9 @@ class Box:
         """Move 32-bit points ``(..., dim)`` that rounding alone has put outside the box or into obstacles.
 
         A free point beside a wall, rounded to 32 bits, may lie in the wall. So a point that comes as 32-bit floats
-        stands for all points up to one step of 32 bits away along each axis. If the point is not free and one of
-        these is, that point takes its place. Without ``is_free``, all points of the box are free. The step is that of
-        the coordinate, or of the number ``reach`` if this is larger: the size of a body at the point.
+        stands for all points up to one step of 32 bits away along each axis. If the point itself is not free but one
+        of the other points is, the free point replaces it. Without ``is_free``, all points of the box are free. A
+        step is the spacing of 32-bit floats at the coordinate or, if larger, at ``reach``, the size of a body there.
         """
         if not is_single(x) or np.shape(x)[-1:] != (self.dim,):
             return x
@@ -214,7 +214,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """A 2-D slice of a box: coordinates along ``axes`` vary, all other coordinates equal the point ``at``'s."""
+    """A 2-D slice of a box: coordinates along ``axes`` vary; along all other axes, the point ``at`` fixes them."""
 
     domain: Box
     axes: tuple[int, int]

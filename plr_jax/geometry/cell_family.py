@@ -135,7 +135,7 @@ class FamilyCells:
         # 1. Cut all triangles into parts, sorted by box: the triangle of part ``i`` is ``part[i]``.
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
-        # 2. Make one piece of all parts of a free box, and of each part of the others.
+        # 2. Make one piece of all parts of a free box, and a piece of each part of any other box.
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
         is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
         first_part = np.flatnonzero(~is_free | np.append(True, box[1:] != box[:-1])[: len(box)])
@@ -201,7 +201,7 @@ def cells_of_goals(
         keys.append(owner[pairs] * np.int64(num_sources) + source[pairs])
     key = np.sort(np.concatenate(keys))
     piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], num_sources)
-    # 3. Test what viewpoints see, once for all goals: a piece and a corner are the same for each of them.
+    # 3. Test what viewpoints see, once for all goals: what a corner sees of a piece does not depend on the goal.
     num_views = len(sight.shadows.table.points)
     key, index = np.unique(rows[piece] * num_views + sight.view[source], return_inverse=True)
     row, view = np.divmod(key, num_views)

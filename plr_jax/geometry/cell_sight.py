@@ -1,4 +1,4 @@
-"""The corners that each cell of a partition of the plane sees, from which shortest paths from the cell go on.
+"""The corners that each cell of a partition of the plane sees: shortest paths from the cell may turn there first.
 
 The free part of a cell consists of convex *pieces*: the whole cell, or parts of triangles if a wall reaches into it.
 The *sources* of a piece are the goal and the corners to which a path from the piece may go first. When a cell is cut,
@@ -215,11 +215,11 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
-        """Find the convex pieces of free space in boxes; ``lists`` has possible sources by triangle of free space."""
+        """Find the convex pieces of free space in boxes; ``lists`` has the possible sources of each free triangle."""
         # 1. Cut triangles into the pieces of cells.
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = convex_pieces.clip_to_boxes(triangles, lo, hi)
-        # 2. Give each piece the possible sources of its triangle, and drop those that it does not need.
+        # 2. Give each piece the possible sources of its triangle, and drop the sources that it does not need.
         first, source = lists
         chunks = []
         for chunk in parts(np.diff(first)[triangle], _CHUNK):
@@ -282,7 +282,7 @@ class CellSources:
         return replace(self, **{name: getattr(self, name)[pairs] for name in _OF_PAIRS})
 
     def append(self, *others: Self) -> Self:
-        """Return the cells of this object, then those of the others."""
+        """Return the cells of this object, then the cells of the other objects, as one object."""
         several = self, *others
         columns = {name: concatenated(several, name)[0] for name in (*_OF_PIECES, *_OF_PAIRS)}
         pieces = np.concatenate([group.pieces for group in several], axis=1)
@@ -352,7 +352,7 @@ class CellSources:
             keys = target[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
             merged = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
             merged = replace(merged, piece=target[merged.piece], by_all=merged.by_all & ~is_merged[merged.piece])
-        # 4. Drop pieces without area and merged ones, and prune the sources of the others.
+        # 4. Drop pieces without area and merged pieces, and prune the sources of the remaining pieces.
         kept = np.flatnonzero(is_kept)
         return merged.of_pieces(kept).prune_sources((changed | is_merged)[kept])
 

@@ -96,7 +96,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
         return None
     if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):  # an edge has no triangle
         return None
-    # 3. Number the kept half-edges, then those of the gap.
+    # 3. Number the kept half-edges, then the half-edges of the gap.
     kept = np.flatnonzero(is_half_kept)
     new_index = np.where(is_half_kept, np.cumsum(is_half_kept) - 1, -1)
     origin = np.concatenate([vertex[kept], vertex_of_gap[fill.origin]])
@@ -118,7 +118,7 @@ def changed_visibility(
     #    at_vertex[c]   old corner at the vertex of new corner c; -1 if there is none
     #    matched[c]     at_vertex[c] if both have equal sectors, else -1
     #    reused[c]      matched[c] if what the corner sees has not changed either, else -1
-    # These have -1 for no corner, and `np.append(values, default)[index]` reads `default` there.
+    # In these arrays, -1 means no corner; `np.append(values, default)[index]` reads `default` at index -1.
     #
     # 1. Match each new corner with the old one at its vertex, if all sectors of both open and close at equal edges.
     corners, views = find_corners(workspace)

@@ -143,9 +143,10 @@ class TurnPoints:
         #                \cone/
         #                 \  /
         #                  c
-        # The inward normal of the right side is the vector along this side, turned left; that of the left side is
-        # turned right. A cone is narrower than half the plane, so the right side's normal is counterclockwise of the
-        # left side's normal: if cross(first, second) >= 0, `second` belongs to the right side.
+        # The inward normal of the right side is the vector along this side, turned left. The inward normal of the
+        # left side is the vector along that side, turned right. A cone is narrower than half the plane, so the right
+        # side's normal is counterclockwise of the left side's normal: if cross(first, second) >= 0, `second` belongs
+        # to the right side.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
@@ -230,8 +231,8 @@ class TurnRegions:
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
         point, first, triangle = triangles_at(self.triangulation, places)
-        # 2. The candidates of a point are the turns that its triangles list. The point's path has the candidate of
-        #    least path length among those that the point sees.
+        # 2. The candidates of a point are the turns that its triangles list. The point's path turns first at the
+        #    candidate of least path length among the candidates that the point sees.
         num_listed = self.first[triangle + 1] - self.first[triangle]
         counts = np.diff(np.append(0, np.cumsum(num_listed))[first])
         for part in parts(counts, _PAIRS):

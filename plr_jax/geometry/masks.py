@@ -69,7 +69,7 @@ def pixel_rings(free: Mask) -> PixelRings:
     along_y = np.empty_like(columns)
     along_y[columns] = columns[other_end]
     # 4. Choose whether a ring leaves a corner along its horizontal or its vertical run. Free space is on the left, so
-    #    rings go right along runs with free pixels above them, and left along the others.
+    #    rings go right along runs with free pixels above them, and left along all other runs.
     is_left_end = np.arange(len(x)) % 2 == 0
     column = x + np.where(is_left_end, 0, -1)  # of the pixels beside the run
     is_free_above = padded[y + 1, column + 1]
@@ -172,8 +172,8 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
     """Return, for each station, the farthest later station to which a straight link may go from there.
 
-    A link may go there if all corners of the outline between are within ``tolerance`` pixels of the link, and none of
-    these corners is a contact.
+    Stations are the points of the exact outlines at which simplified outlines may bend. A link may replace the
+    outline between two stations if all corners between are within ``tolerance`` pixels of it, and none is a contact.
     """
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
@@ -214,8 +214,8 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
 def _unwanted_links(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> list[list[int]]:
     """Return the links that come near other links or surround another ring, as pairs (first station, last station).
 
-    A link is the segment between two consecutive kept stations of a ring. Links along the exact outline are never
-    returned.
+    A link is the segment between two consecutive kept stations (points of the exact outline) of a ring. Links along
+    the exact outline are never returned.
     """
     kept = np.flatnonzero(is_kept)
     links = np.stack([kept[:-1], kept[1:]], axis=1)
@@ -354,8 +354,8 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
-    """Split rings where they touch themselves; return Shapely rings, and for each the index of its original."""
-    # 1. Number the loop of each point. The first loop of a ring has the ring's number, the others get new ones.
+    """Split rings where they touch themselves; return Shapely rings, and the index of the ring each is a part of."""
+    # 1. Number the loop of each point. The first loop of a ring has the ring's number, its other loops get new ones.
     num_loops = len(rings.start) - 1
     ring = np.repeat(np.arange(num_loops), np.diff(rings.start))
     loop, order = ring.copy(), np.arange(len(rings.points))

@@ -40,10 +40,8 @@ class Reach:
     far: BoxTest
 
     def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether each box holds a cut-off point, but no point that reaches the goal.
-
-        The box counts with all points outside of it that rounding may place inside.
-        """
+        """Return whether each box holds a cut-off point, but no point that reaches the goal, not even by rounding."""
+        # Rounding may place points just outside of a box inside.
         holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
         holds[holds] = ~self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
         return holds
@@ -63,7 +61,7 @@ class Reach:
 
     def cut_off_fraction(self, dim: int) -> float:
         """Estimate the share of free space that is cut off, from 0 to 1."""
-        # Count the boxes of a lattice that hold reached points, and those that hold cut-off points.
+        # Count the boxes of a lattice that hold reached points, and the boxes that hold cut-off points.
         num = round(_NUM_BOXES ** (1 / dim))
         lo = np.array(list(product(range(num), repeat=dim))) / num
         reached = np.count_nonzero(self.reached(lo, lo + 1 / num))

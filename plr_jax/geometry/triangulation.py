@@ -359,7 +359,10 @@ class _Mesh:
 
 
 def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
-    """Return ``origin``, ``twin`` and ``wall`` of the :class:`Triangulation` of triangles on the free side."""
+    """Keep the triangles on the free side of the walls ``edges``; return their half-edges.
+
+    The results are the columns ``origin``, ``twin`` and ``wall`` of :class:`Triangulation`.
+    """
     # 1. Find the wall along each half-edge that has the wall's direction, so that free space is on its left.
     half_edges = _half_edges(triangles)
     key, opposite = (_edge_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))

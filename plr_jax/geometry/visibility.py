@@ -104,7 +104,7 @@ def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vec
     vectors stand for all directions.
     """
     # 1. Widen these ranges by the angle of the tolerance at the farthest distance, to allow for rounded directions,
-    #    except those that are half a turn wide up to rounding.
+    #    except ranges that are half a turn wide up to rounding.
     far = np.ptp(triangulation.boundary.vertices, axis=0).max()
     wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
     right = far * right - wider[:, None] * turned_left(right)
@@ -213,7 +213,7 @@ class VisibilityTable:
     tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
     points: Vectors
     cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
-    first: Int[np.ndarray, " views+1"]  # intervals first[v] to first[v + 1] are those of viewpoint v
+    first: Int[np.ndarray, " views+1"]  # viewpoint v has the intervals from first[v] to first[v + 1] - 1
     key: Float[np.ndarray, " intervals"]  # 4 v plus the pseudo-angle at which an interval starts, ascending
     edge: Int[np.ndarray, " intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
     vertex: Int[np.ndarray, " intervals"]  # in the direction at which an interval starts; -1 at the cut
@@ -263,7 +263,7 @@ class VisibilityTable:
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         """Return whether each point is on the free side of the line of the edge that bounds the view in its interval.
 
-        Interval ``row[i]`` is that of point ``x[i]``; False if it has no edge. Near the line the test is exact.
+        Point ``x[i]`` lies in interval ``row[i]``. False if the interval has no edge. Near a line the test is exact.
         """
         edge = self.edge[row]
         normal = self.boundary.normal[edge]

@@ -101,7 +101,7 @@ class VoxelGrid:
         return self._blocked.within(first, last)
 
     def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
-        """Shrink each range of voxels to the smallest with the same free voxels; ``last < first`` if it has none."""
+        """Shrink each range of voxels to the smallest range with the same free voxels; without, ``last < first``."""
         first, last = first.copy(), last.copy()
         for axis in range(self.dim):
             for moved, inward in ((first, 1), (last, -1)):
@@ -124,8 +124,9 @@ class VoxelGrid:
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
-            # Across the contact's axes, count the faces from ``lo`` to ``hi``, along the others, open voxels. The
-            # face above voxel k has index k: the first one is above the lowest voxel that contains ``lo``.
+            # Along the contact's normal axes, count the faces from ``lo`` to ``hi``; along all other axes, open
+            # voxels. The face above voxel k has index k: the first face is above the lowest voxel that contains
+            # ``lo``.
             is_across = np.isin(np.arange(self.dim), across)[:, None]
             first, last = np.where(is_across, below_lo, above_lo), np.where(is_across, above_hi - 1, below_hi)
             touches |= contacts.within(first, last) > 0

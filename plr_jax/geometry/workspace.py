@@ -56,8 +56,8 @@ class Workspace:
 
     Coordinates are rounded to a thousandth of ``tolerance``, so walls that touch up to rounding do touch. Walls and
     gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
-    based. Where several thin walls or gaps meet, those thinner than half of ``tolerance`` may vanish; far from the
-    origin, those thinner than twice ``tolerance``.
+    based. Where several thin walls or gaps meet, walls and gaps thinner than half of ``tolerance`` may vanish, or
+    thinner than twice ``tolerance`` if they are far from the origin.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -205,9 +205,9 @@ class Workspace:
     def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
         """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
 
-        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. In the
-        domain, a point that is not free moves to the nearest free point if that is at most one step of 32 bits away,
-        and any point so near to a contact of obstacles moves there.
+        The rule is as for :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. In the
+        domain, a point that is not free moves to the nearest free point if that is at most one step of 32 bits away.
+        Any point within one step of a contact of obstacles moves to the contact.
         """
         domain = self.bounds if domain is None else domain
         settled = domain.settled(x)
@@ -345,9 +345,10 @@ class Workspace:
         """Return the workspace after obstacles are added and removed.
 
         Added obstacles, given as for the class, are appended to ``obstacles``. Obstacles to remove are given by
-        indices in ``obstacles``, or by equal rings or Shapely polygons; parts that others cover stay blocked. All
-        obstacles keep their indices: an empty polygon, which scene files leave out, takes the place of a removed one.
-        ``ValueError`` if an added obstacle is invalid, a removed one does not exist (any more), or nothing is free.
+        indices in ``obstacles``, or by equal rings or Shapely polygons. Parts that other obstacles cover stay
+        blocked. All obstacles keep their indices: an empty polygon, which scene files leave out, replaces a removed
+        obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove does not exist (any more), or
+        nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)
@@ -409,7 +410,8 @@ def joined_parts(
 ) -> Bool[np.ndarray, " parts"]:
     """Return whether each polygon contains one of the points, to ``tolerance``.
 
-    If paths may squeeze through contacts, polygons also count that a chain of touching polygons joins to such a one.
+    If paths may squeeze through contacts, the result is also True for a polygon that a chain of touching polygons
+    joins to a polygon that contains a point.
     """
     places, group = np.asarray(shapely.points(points)), part_groups(parts, may_squeeze)
     return np.isin(group, group[shapely.STRtree(parts).query(places, predicate="dwithin", distance=tolerance)[1]])

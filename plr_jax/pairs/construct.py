@@ -151,7 +151,7 @@ class _ListTree:
     """A growing tree of cells; each node lists the corners at which paths from it may turn first."""
 
     lists: Lists
-    key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most that of its parent
+    key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most the parent's priority
     is_leaf: Bool[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # -1 for the root
     visible: CellSources  # free convex pieces of each leaf, and the corners that each piece may see
@@ -279,7 +279,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
-    #    An edge (a, b) becomes an edge between each of the file's corners at a and each of those at b.
+    #    An edge (a, b) becomes edges between all of the file's corners at a and all of the file's corners at b.
     start, row_a = in_file(a[is_taut])
     end, row_b = in_file(b[is_taut][row_a])
     #    Join the file's corners at the same place in a chain, so that paths may pass from one to another.

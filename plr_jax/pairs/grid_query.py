@@ -126,7 +126,7 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     #        row   p . . . .          `aside` is the number of rows from p to q. The slanted sum of the last row,
     #                . . . . .        from column + aside to last_column, counts the steps that end in this slanted
     #   last_row       . . . . q      band in the last row or above. The slanted sum of the first row, from column
-    #                                 to last_column - aside, counts those that end in the first row or above.
+    #                                 to last_column - aside, counts the steps that end in the first row or above.
     #
     # 1. Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     offset = q - p
@@ -164,7 +164,7 @@ class GridTables:
 
     sight: IllegalSteps
     group_block: Int32[Array, " groups"]  # first block of corners of each group of 16 cells, in row-major order
-    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to that of its group
+    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to its group's first block
     blocks: Integer[Array, "blocks 4"]  # corners of cells; a cell's last corner fills up its last block
     row: Int32[Array, " corners"]
     column: Int32[Array, " corners"]
@@ -204,7 +204,7 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     )
 
 
-_SORTED_BITS = 18  # bits of the index of a pair among those sorted together
+_SORTED_BITS = 18  # bits of the index of a pair among the pairs sorted together
 _CHUNK = 1024  # pairs per chunk
 _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
 _MOST_SORTED = 2**7 - 1  # larger numbers of blocks count as this in sorting

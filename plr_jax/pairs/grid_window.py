@@ -55,7 +55,8 @@ def distances_around(
         rim = np.zeros(1, int), np.zeros(1, int)
     cells = jnp.stack([row[rim], column[rim]], axis=-1)
     # 3. Find lengths of the rim. Look up first the corners toward and away from the goal: lengths between them mostly
-    #    follow. These are 2r and 6r if row and column change in opposite directions towards the goal, else 0 and 4r.
+    #    follow. The two corners are 2r and 6r if row and column change in opposite directions towards the goal, else
+    #    0 and 4r.
     is_turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
     looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == 2 * radius * is_turned
     lengths = _lengths_of_rim(tables, cells, free[rim], goal, looked_up_first)

@@ -329,7 +329,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     shapely.prepare(region)
     is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
     p, q = x[is_free].T, y[is_free].T
-    a, b = chords.transpose(1, 2, 0)[..., None]  # coordinates (2, chords, 1); those of p and q are (2, pairs)
+    a, b = chords.transpose(1, 2, 0)[..., None]  # coordinates (2, chords, 1); p and q have the shape (2, pairs)
 
     def left_of(a: Any, b: Any, p: Any) -> Any:
         (ax, ay), (bx, by), (px, py) = a, b, p

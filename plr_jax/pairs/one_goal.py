@@ -64,7 +64,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
     Source 0 is the goal, source ``1 + i`` is corner ``i``. A corner whose next turn is not found has distance
     ``inf``.
     """
-    # 1. The next turn is the goal if the distance is that of a straight line, up to rounding.
+    # 1. The next turn is the goal if the distance is the length of a straight line, up to rounding.
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, to_corners)
     slack = _ROUNDING * (distances + stored.domain.width.max())

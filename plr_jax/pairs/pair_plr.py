@@ -59,11 +59,11 @@ class PairPLR(FileBacked):
         """Return the distance between points, ``(...)``: the length of the shortest path in free space.
 
         It is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in obstacles.
-        ``pairs(x, y) == pairs(y, x)`` to the last bit. The precision is that of the points as for :func:`evaluate`,
-        though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without compiling: answers
-        then differ by rounding from those of compiled functions. It works under ``jax.jit``, ``jax.vmap`` and
-        ``jax.grad`` in both arguments. The gradient points away from the first turn of the path. It is zero where the
-        distance is 0 or ``inf``.
+        ``pairs(x, y) == pairs(y, x)`` to the last bit. Answers have the precision of the points, as for
+        :func:`evaluate`, though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without
+        compiling: these answers differ by rounding from the answers of compiled functions. The call works under
+        ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the first turn of
+        the path. It is zero where the distance is 0 or ``inf``.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
@@ -153,7 +153,7 @@ class PairPLR(FileBacked):
         """Return a JavaScript module that answers the same queries, contains the file and imports nothing.
 
         It exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the first
-        turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for bit.
+        turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal :meth:`numpy`'s answers bit for bit.
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
@@ -264,7 +264,7 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
       to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
     - Paths around the end of a thin wall may be 2e-6 w too long. If the workspace lets paths squeeze through places
       where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short. Some are
-      not found: the distance is then that of a longer path, above the upper bound.
+      not found: the distance is then the length of a longer path, above the upper bound.
 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
     through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,
@@ -301,7 +301,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
     # `length` is computed in 32 bits, of rounded points x' and y', and has no gradient. With the turns i and j held
     # fixed, a path's length changes as its legs do, with legs(x, y) = |x - i| + |y - j|, or |x - y| if straight:
     #   length(x, y) = length(x', y') + legs(x, y) - legs(x', y').
-    # The gradient is that of legs(x, y). As legs(x', y') are computed in 32 bits, too, their rounding cancels.
+    # The gradient is the gradient of legs(x, y). As legs(x', y') have 32 bits, too, their rounding cancels.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 

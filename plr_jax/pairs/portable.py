@@ -106,7 +106,7 @@ class Scene:
 
         If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
         into their obstacles, so that rounding hides no corner. With ``for_lower_bounds``, walls of thin obstacles are
-        left out too, and paths may pass between obstacles that touch: points hidden then are certainly hidden.
+        left out too, and paths may pass between obstacles that touch: whatever these walls hide is certainly hidden.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -139,8 +139,8 @@ class Scene:
     def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, " n"]:
         """Return whether walls hide ``q[i]`` from ``p[i]``.
 
-        If paths must be certainly free, one crossing of a wall hides it. Else the segment must cross a wall into an
-        obstacle and one out of it.
+        If paths must be certainly free, one crossed wall hides the point. Otherwise the segment must cross both a
+        wall into an obstacle and a wall out of an obstacle.
         """
         return are_crossed(p, q, self.wall_ends, both_ways=not self.is_certain)
 

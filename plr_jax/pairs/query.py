@@ -84,7 +84,7 @@ class _Search:
 
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
-    via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
+    via_y: Rows  # place of the path's last turn in the list of the second point's leaf; the list's length if straight
     key: Rows  # smallest of `_Pairs.keys` that is not yet tried
     # A bit for each corner of the second point's list: whether it is known to be hidden from the point.
     hidden_y: UInt32[Array, "n words"]
@@ -105,8 +105,8 @@ def shortest_ways(
 ) -> Ways:
     """Find shortest paths between points ``x`` and ``y``, both relative to the middle of the domain.
 
-    Paths are equal to the last bit if ``x`` and ``y`` are swapped. For prepared goals ``y`` this need not
-    hold: ``to_corners`` has their distances to all corners, and ``goal`` is the row there of each ``y``.
+    Paths are equal to the last bit if ``x`` and ``y`` are swapped. For prepared goals ``y`` this need not hold:
+    ``to_corners`` has the distances of goals to all corners, and ``goal`` the row of each ``y`` in ``to_corners``.
     """
     if goal is not None:
         return part_by_part(partial(_ways, tables, to_corners), _AT_ONCE, x, y, goal)
@@ -219,7 +219,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
 
 
 def _place_bits(longest: int) -> np.uint32:
-    # The lower bits of a key hold a place in a list, its other bits those of a float: as many bits as places need.
+    # The lower bits of a key hold a place in a list, as many bits as places need. The other bits are a float's.
     return np.uint32(padded_size(longest) - 1)
 
 

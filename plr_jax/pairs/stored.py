@@ -155,8 +155,8 @@ class Outline:
         """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
 
         A negative distance moves all walls into free space, by less beside sharp corners. A positive distance moves
-        walls of thin obstacles only if ``moves_all``. Without ``moves_all``, the result has more walls at its end,
-        which close the gaps at contacts and tips.
+        walls of thin obstacles only if ``moves_all``. If it is positive and not ``moves_all``, the result ends with
+        added walls, which close the gaps at contacts and tips.
         """
         # Into obstacles, a contact moves to one place in each obstacle, and a sharp tip moves far. So that no path
         # slips through, two walls of opposite directions join the new place to the old place of a contact, or to a

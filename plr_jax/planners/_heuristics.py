@@ -127,7 +127,10 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
 
 
 def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-    """Return the distance of each robot in each joint configuration; functions get batches of few sizes."""
+    """Return the distance of each robot in each joint configuration.
+
+    Functions are called with batches of few sizes, as a jitted function compiles once for each size.
+    """
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]
@@ -148,9 +151,10 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
 
 
 def _joint_configurations(q: Any, num_robots: int | None = None, dof: int | None = None, traced: bool = False) -> Any:
-    """Check and convert joint configurations, of any number of robots or coordinates where the argument is None.
+    """Check joint configurations ``(n, robots, dof)``, and return them as 64-bit floats.
 
-    If ``traced``, they may be an array that JAX traces.
+    ``num_robots=None`` allows any number of robots, ``dof=None`` 2 or 3 coordinates. If ``traced``, an array that JAX
+    traces is returned as it is.
     """
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
     q = q if traced and is_traced(q) else as_numbers("Joint configurations", q, f"numbers of {expected}")

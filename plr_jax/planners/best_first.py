@@ -44,7 +44,7 @@ class Beam(NamedTuple):
 
     step_score: Float[np.ndarray, "n m"]  # sum of the robots' terms for this step; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
-    num_scored: int  # children scored, including those in which only the first robots have moved
+    num_scored: int  # children scored, including children in which only the first robots have moved
     num_valid: int  # collision-free children in which every robot has moved, over all nodes
     is_complete: Bool[np.ndarray, " n"]  # whether surely no collision-free child is missing
 

@@ -84,10 +84,10 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
         ``cost_factor`` (default: infinite) times the lower bound, also if a limit ended its improvement.
         EXHAUSTED: no search is left on the finest lattice (the given ``step``, or 1/2048 of the bounds), which proves
         nothing about finer lattices. MEMORY_LIMIT: the limit was reached, or best-first search found nothing after it
-        left out children to save memory. Otherwise another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always
-        comes with a path. The lower bound is the largest of the option's, the cost of straight motions, and the
-        heuristic at the starts if its ``is_lower_bound`` is true. Results are deterministic unless the time limit
-        ends a search.
+        left out children to save memory. Other statuses name another limit, or INTERRUPTED after Ctrl-C. Only SOLVED
+        always comes with a path. The lower bound is the largest of ``options.lower_bound``, the cost of straight
+        motions, and the heuristic at the starts if its ``is_lower_bound`` is true. Results are deterministic unless
+        the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
@@ -99,8 +99,8 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
     2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
        one of two searches succeeds. LaCAM moves the whole team one step at a time: each robot takes its best free
        motion and pushes others out of its way (PIBT). Best-first search finds coordinated maneuvers, such as a swap.
-    3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
-       and deviations within narrow corridors, shorten the path.
+    3. Robots are replanned on the lattices, one by one, while all other robots keep their paths. Then straight
+       shortcuts, and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor`` that is not met yet, groups of robots are replanned together, and searches continue with
        finer lattices and smaller weights.
 
@@ -150,7 +150,7 @@ class Run:
         self.extent = float(problem.workspace.bounds.width.max())
 
     def record(self, path: JointPath, found_by: str, motions_factor: float) -> None:
-        """Keep a path if it is the cheapest so far; ``motions_factor`` is its cost over the robots' least costs."""
+        """Keep a path if it is the cheapest so far; ``motions_factor`` is as in :class:`Solution`."""
         seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
@@ -192,8 +192,8 @@ class Run:
     def search_until_limit(self) -> Status:
         """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
 
-        From one search to the next the lattice gets finer and the weight falls. If the step is given, LaCAM searches
-        once, and then only the weight falls.
+        From one search to the next the lattice gets finer, and the weight of the heuristic falls. If the step is
+        given, LaCAM searches once, and then only the weight falls.
         """
         searchers, weight = self.options.searchers, self.options.heuristic_weight
         step = self.options.step or first_step(self.problem, self._fits)
@@ -217,7 +217,7 @@ class Run:
                 return Status.EXHAUSTED
 
     def _search_lattices(self, step: float, weight: float, searchers: Sequence[str]) -> tuple[Status, float]:
-        """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
+        """Search lattices of cell size ``step`` and finer; return the status, and the cell size to continue with."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []  # from the coarsest lattice to the finest
         is_complete = True  # whether all searches that ended had tried everything
@@ -318,7 +318,7 @@ class Run:
     def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
         """Shorten a path by shortcuts, in corridors of at most ``width``, and by shortcuts with twice as many rows.
 
-        End as soon as the cost is accepted.
+        Record the path after each of these phases. End as soon as the cost is accepted.
         """
         in_corridors = partial(shorten_in_corridors, width=width)
         for phase, method in enumerate((shorten, in_corridors, shorten)):
@@ -364,7 +364,10 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _recorded(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Record and return the path through lattice nodes ``state``, and its cost over the robots' least costs."""
+        """Record and return the path through lattice nodes ``state``, and the ratio of its cost to the least costs.
+
+        The least costs are the robots' costs on their lattices without the other robots, summed up.
+        """
         path = searches.joint.configurations(state)
         least = float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
@@ -426,7 +429,7 @@ class Searches:
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
-        """Run each search for a while, longer at every call; return why one ended, or None if both may go on."""
+        """Run each search for a while, longer at every call; return why a search ended, or None if all may go on."""
         status = None
         num_robots = len(self.joint.lattices)
         finds_all = "lacam" in self.running  # LaCAM leaves out nothing

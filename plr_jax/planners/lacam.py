@@ -1,7 +1,7 @@
 """LaCAM: a lazy search over joint configurations, which adds constraints to the team steps that PIBT finds.
 
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
-priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen ones.
+priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that hits no motion chosen so far.
 Robots that can then no longer stay choose next; if one of them finds no motion, the primitive is given up.
 References: Okumura et al., Artificial Intelligence 310, 2022 (PIBT); Okumura, AAAI 2023 (LaCAM).
 """
@@ -107,9 +107,9 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        # The key of `known_bits` is the number of cells, along each axis, from one robot to the other. The value has,
-        # for each primitive of the first, the primitives of the other that collide with it. The opposite key has, for
-        # each primitive of the other, those of the first.
+        # The key of `known_bits` is the number of cells, along each axis, from a first robot to a second one. The
+        # value has, for each primitive of the first robot, the primitives of the second robot that collide with it.
+        # The opposite key has, for each primitive of the second robot, the colliding primitives of the first robot.
         known_bits, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, offsets.tolist())) for offsets in (cells, -cells))
         # 1. Test the motions for new keys, from the origin and from the center of the other robot's cell.
@@ -165,7 +165,7 @@ class PIBT:
         self.allowed: list[Bits] = [-1] * len(moves.ranked)  # -1 has all bits set
         self.num_left = _MOST_CHOICES * len(moves.ranked)
         self.num_failures = [0] * len(moves.ranked)
-        self._robots: list[int] = []  # those that have chosen, in order
+        self._robots: list[int] = []  # robots that have chosen, in order
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:

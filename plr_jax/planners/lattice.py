@@ -62,8 +62,8 @@ class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
     Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
-    node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked one
-    leads to its own node at infinite cost. All robots share the table, so no primitive in it leads to a start or
+    node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked
+    primitive leads to its own node at infinite cost. All robots share the table, so no primitive leads to a start or
     goal. Edges, from nodes ``begin`` to ``end``, are the table's free motions, then each robot's motions into its
     start and goal, then a dummy edge of infinite cost that pads lists of edges.
     """
@@ -78,7 +78,7 @@ class Kind:
     terminals: Terminals
 
     def __post_init__(self) -> None:
-        # 1. List the edges as columns (begin, end, cost): shared ones, those into terminals, and the dummy edge.
+        # 1. List the edges as columns (begin, end, cost): shared edges, edges into terminals, and the dummy edge.
         terminals = self.terminals
         moves = np.nonzero(np.isfinite(self.cost))  # node and primitive
         shared = moves[0], self.child[moves], self.cost[moves]
@@ -112,7 +112,8 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        # Each column lists the shared edges into a node, then dummy edges. The only one into a terminal is to stay.
+        # Each column lists the shared edges into a node, then dummy edges. The only shared edge into a terminal is
+        # the edge that stays there.
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges in this order
         # In a terminal's column, `edges_into_nodes` needs room for the terminal edges below the edge that stays.
@@ -122,7 +123,10 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, in each node's column, the edges into it that robot ``members[row]`` may use, then dummy edges."""
+        """Return, in a column for each node, the edges into the node that robot ``members[row]`` may use.
+
+        Dummy edges fill up the columns.
+        """
         into = self._shared_edges_into_nodes.copy()
         terminal_edges = self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges  # the robot's terminals replace these nodes

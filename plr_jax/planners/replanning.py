@@ -47,7 +47,7 @@ def replan(
     options: BLOptions = _DEFAULTS,
     standing: Sequence[int] = (),
 ) -> Solution:
-    """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
+    """Replan a moving team after a change; robots keep motions that still lead to their goals, if possible.
 
     Use it when goals or walls have changed, or robots have broken down::
 
@@ -90,7 +90,7 @@ def replan(
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
             raise ValueError(f"Robot {i} is to stand still: its goal must be its start {start}, got {goal}.")
     fixed = {*robots}
-    # 2. Find the rest of the path at that time.
+    # 2. Find the part of the path that remains at that time.
     if not isinstance(solution, Solution) or solution.path is None or solution.times is None:
         raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
     if solution.path.shape[1:] != problem.starts.shape:
@@ -131,7 +131,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan robots, except ``fixed`` ones, until the path of each robot ends at its goal; return whether it does."""
+    """Replan robots, except ``fixed`` ones, until all paths end at the robots' goals; return whether they all do."""
     # ``step`` is the cell size of the lattices.
     # 1. Find the robots whose motions do not end at their goals, or hit a wall. They block nobody until replanned.
     num_robots, test = len(problem.robots), timetable.test
@@ -154,8 +154,8 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         timetable.move(i, timetable.path[:1, i])
     for i in fixed:
         make_way(i, timetable.path[:, i])
-    # 3. Replan one robot after the other. A robot that finds no path among the others is planned among the fixed ones
-    #    alone, and robots in its way are replanned after it.
+    # 3. Replan one robot after the other. A robot that finds no path among all other robots is planned among the
+    #    fixed robots alone, and robots in its way are replanned after it.
     for _ in range(_ATTEMPTS * num_robots):
         if not todo:
             return True
@@ -207,13 +207,13 @@ def lifelong(
     options: BLOptions = _DEFAULTS,
     plan: Callable[[Problem], Solution] | None = None,
 ) -> LifelongRun:
-    """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
+    """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the other robots go on.
 
-    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
-    keep their motions. A robot that finds no path waits near its goal, or where it is, and is replanned later. If
-    that fails, the whole team is planned again. A robot whose next goal is its place is served together with the next
-    robot that arrives. Ctrl-C, or a team that cannot be planned, ends the function early; it
-    then returns the run so far. Results are deterministic unless a time limit is reached.
+    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the other
+    robots keep their motions. A robot that finds no path waits near its goal, or where it is, and is replanned later.
+    If that fails, the whole team is planned again. A robot whose next goal is its place is served together with the
+    next robot that arrives. Ctrl-C, or a team that cannot be planned, ends the function early; it then returns the
+    run so far. Results are deterministic unless a time limit is reached.
 
     Args:
         problem: The robots, their starts, and their first goals.

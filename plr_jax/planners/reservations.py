@@ -20,7 +20,7 @@ from plr_jax.planners.lattice import JointLattice, State
 _CHUNK = 256  # most edges at a time
 _PAIRS = 1 << 13  # pairs of edges at a time, about
 # Memory:
-_ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without those edges
+_ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without the colliding edges
 _EDGE_BYTES = 2  # bytes of an edge, per step
 _NODE_BYTES = 8  # bytes of a node while a robot is replanned, per step
 # Replanning:
@@ -116,7 +116,7 @@ class ReservationTable:
         least = self._costs_to_come[i] + self.joint.costs_to_go[i]
         least[[start, goal]] = 0.0  # always keep both
         nodes = np.flatnonzero(least <= max_cost * (1 + _ROUNDING))
-        index = np.full(len(least), len(nodes))  # of each node among `nodes`; `len(nodes)` for those left out
+        index = np.full(len(least), len(nodes))  # of each node among `nodes`; `len(nodes)` for nodes left out
         index[nodes] = np.arange(len(nodes))
         # 2. Dynamic programming: reached[step, n] is the least cost to be at nodes[n] after so many steps. The last
         #    column stands for all nodes left out, at infinite cost. Columns of `into`: the edges into each node,
@@ -149,7 +149,10 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan robots with detours, the largest first, in rounds until one saves little or a limit is reached."""
+    """Replan robots with detours, the largest detour first, in rounds.
+
+    Stop after a round that saves little, or at a limit.
+    """
     while True:
         before = table.cost.sum()
         for i in np.argsort(table.least_costs - table.cost).tolist():

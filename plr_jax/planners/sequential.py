@@ -117,8 +117,8 @@ def _positions_at(
     # Let r be the radius. The center passes along lines at the distance r from both walls. These lines meet in the
     # direction halfway between the walls' normals, at r / cos(turn / 2) from the corner. At a sharp corner, this is
     # far away. Two positions then cut off the tip: in the directions at turn / 4 from each normal, r / cos(turn / 4)
-    # from the corner. They also lie on these lines, and the segment between them has the distance r from the corner,
-    # too.
+    # from the corner. Both positions also lie on the two lines, and the segment between them, too, has the distance r
+    # from the corner.
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for fraction, selected in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
@@ -169,7 +169,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return None
     at = [routes.start for routes in all_routes]  # present positions
     rows = [at.copy()]
-    waiting, aside = list(range(len(robots))), set()  # robots not at their goals, and those that have stepped aside
+    waiting, aside = list(range(len(robots))), set()  # robots not at their goals, and robots that have stepped aside
 
     def clears(i: int, route: Route, ignored: tuple[int, ...]) -> bool:
         # Whether robot i hits no robot on a route.

@@ -223,7 +223,8 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
         early = np.flatnonzero(now + count <= row[ahead])
         early = early[walls(begin[early], q[ahead[early]], deadline)]
         ahead, count, begin = ahead[early], count[early], begin[early]
-        # 2. Keep those on which the robot meets nobody, nor while it waits there until the waypoint's row.
+        # 2. Keep the motions on which the robot meets nobody, also while it waits at the end until the waypoint's
+        #    row.
         since = np.full(len(ahead), now)
         is_possible = timetable.are_free(i, begin, q[ahead], since, count)
         is_possible &= timetable.are_free(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)
