@@ -77,7 +77,11 @@ class MotionTest:
         return free
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
-        """Return whether a point robot is at a point where obstacles touch, if paths may not pass; else False."""
+        """Return whether the robot, a point, is at a contact: where obstacles touch and paths may not pass.
+
+        The result is False for robots that are larger than a point, and if paths may pass between obstacles that
+        touch.
+        """
         is_at = np.zeros(q.shape[:-1], dtype=bool)
         if self._is_point and not self.workspace.squeeze:
             points: Any = shapely.points(q[..., :2].reshape(-1, 2))

@@ -46,7 +46,7 @@ _STRAIGHT_BYTES = 0.4  # most bytes of the goals, as a share of the file
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
     """Return a PLR whose leaves are the cells of the mesh, or None if its file takes more than ``max_bytes``.
 
-    It has bounds if their ``field`` is given and the file has room for them.
+    With a ``field``, the PLR has the field's proven bounds, which count in the size of the file.
     """
     mesh = estimate.mesh
     values = estimate.corner_values

@@ -41,7 +41,10 @@ class FunctionSpace:
     node_of: Int[np.ndarray, " dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
 
     def interpolation(self, cell: Int[np.ndarray, " n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Return the matrix from degrees of freedom to values at points of cells; ``t`` is from 0 to 1 in a cell."""
+        """Return the sparse matrix that maps degrees of freedom to values at points, one row for each point.
+
+        Point ``i`` has the local coordinates ``t[i]``, from 0 to 1, in cell ``cell[i]``.
+        """
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, " dim"]) -> list[csr_array]:

@@ -307,9 +307,9 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return, for each grid cell, its state, whether its center is open, and whether it is open and on no wall.
+    """Return three arrays of grid cells: their states, whether their centers are open, and which of these are clear.
 
-    Paths may pass open centers.
+    Paths may pass open centers. A center is clear if it is open and lies on no wall.
     """
     domain = space.domain
 

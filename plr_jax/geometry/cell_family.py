@@ -118,7 +118,7 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """The free parts of boxes as convex pieces, for oracles of any goal on one map."""
+    """The free parts of boxes as convex pieces, and the corners that see them: built once for all goals on a map."""
 
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`

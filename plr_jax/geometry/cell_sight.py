@@ -80,10 +80,10 @@ class Shadows:
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        """Return whether each viewpoint sees the center of its convex piece, and whether that holds for all of it.
+        """Test what viewpoints see of convex pieces: return ``(sees_center, is_whole)``, two booleans for each piece.
 
-        Viewpoint ``view[i]`` is tested with piece ``i``, which contains the point ``center[i]``. It sees all or
-        nothing of a piece that no shadow crosses: then the second result is True.
+        Viewpoint ``view[i]`` is tested with piece ``i``, which contains the point ``center[i]``. ``is_whole`` is True
+        if no shadow crosses the piece. The viewpoint then sees all of the piece if it sees the center, else nothing.
         """
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         # 1. Find the range of keys strictly inside each piece. Keys of one viewpoint run from 0 to 4,

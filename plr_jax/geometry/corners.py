@@ -164,9 +164,10 @@ class TurnPoints:
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
-        """Find the shortest path of each point that turns at a corner; return the path's first corner and its length.
+        """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 
-        Corners are numbered as in ``vertex``, also for ``sees``. Without a path, they are -1 and ``inf``.
+        Corners are numbered as in ``vertex``, also in calls of ``sees``. A point without such a path has the corner
+        -1 and the length ``inf``.
         """
         turn, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
@@ -224,9 +225,10 @@ class TurnRegions:
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
-        """Find the shortest path of each point that turns at a corner; return the path's first corner and its length.
+        """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 
-        Corners are numbered as in ``turns.vertex``, also for ``sees``. Without a path, they are -1 and ``inf``.
+        Corners are numbered as in ``turns.vertex``, also in calls of ``sees``. A point without such a path has the
+        corner -1 and the length ``inf``.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.

@@ -177,7 +177,7 @@ def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> I
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Return the cones from viewpoints through the sides of their first triangles."""
+    """Return the first cones: from each viewpoint through sides of the triangles in which the viewpoint lies."""
     # 1. Viewpoints without sectors look through all three sides of their triangle.
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)
     triangle, _ = triangulation.locate(views.points[around])

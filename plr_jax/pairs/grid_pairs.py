@@ -128,9 +128,9 @@ class GridPairs:
         """Return lengths of shortest paths between the cells of points; diagonal steps (if any) count ``sqrt(2)``.
 
         Lengths are in steps. Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row
-        ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are
-        symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or
-        a point is outside the grid or NaN. For many points, a function is compiled for each shape.
+        ``r`` and column ``c`` has the points ``(a, b)`` with ``c <= a < c + 1`` and ``r <= b < r + 1``. Answers,
+        ``(...)``, are symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell
+        is blocked, or a point is outside the grid or NaN. For many points, a function is compiled for each shape.
         """
         points = _as_points("x", x), _as_points("y", y)
         shape = broadcast_shape("x and y", *points)

@@ -227,7 +227,7 @@ def evaluate_pairs(
 def evaluate_few(
     tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch"] | None:
-    """Answer as :func:`evaluate_pairs` in NumPy; None if there are so many pairs that compiled code is as fast."""
+    """Return what :func:`evaluate_pairs` returns, by NumPy; None for so many pairs that compiled code is as fast."""
     # 1. Answer pairs of cells that see each other.
     (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     if len(p) > _MOST_FEW:
@@ -340,8 +340,8 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tupl
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: Flags) -> tuple[_Lengths, _Lengths]:
     """Return, for each cell, one of the corners that are stored for it, and the path length from cell to corner.
 
-    It is the corner over which the path to the other cell would be shortest on an empty grid. The length is FAR if
-    the cell has no corner or sees the other cell.
+    It is the corner over which the path from cell ``cells[i]`` to cell ``others[i]`` would be shortest on an empty
+    grid. The length is FAR if the cell has no corner or sees the other cell.
     """
     first, count = _blocks_of(tables, cells)
     count = jnp.where(is_seen, 0, count)

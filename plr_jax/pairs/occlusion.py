@@ -60,7 +60,7 @@ NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list en
 
 @pytree
 class NearWalls:
-    """The walls between each leaf, a box of the domain, and the corners that it lists as first turns of paths."""
+    """For each leaf (a box of the domain) and each corner that it lists, the walls that may hide the corner."""
 
     # Both ends (ax, ay, bx, by) of walls: the walls of the first list entry, of the second one, and so on. Entries
     # are sorted by leaf; `first[leaf, place]` is the index of the first wall of the leaf's corner at this place.

@@ -105,10 +105,10 @@ class PairPLR(FileBacked):
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
-        Large batches then take less time. The result takes 4 bytes per goal and corner. It works under ``jax.jit``
-        and ``jax.vmap``. Answers differ from unprepared ones by rounding, and have no gradient in goals, which have
-        32 bits. With ``outside="clamp"``, distances are still ``inf`` to a goal outside the domain. Pairs of other
-        maps must not use these goals. ``ValueError`` as for a call.
+        Large batches then take less time. The result takes 4 bytes per goal and corner. The method works under
+        ``jax.jit`` and ``jax.vmap``. Distances to prepared goals differ by rounding from distances to plain points,
+        and have no gradient in the goals, which have 32 bits. With ``outside="clamp"``, distances are still ``inf``
+        to a goal outside the domain. Pairs of other maps must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
@@ -352,7 +352,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-    """Move finite points outside the domain to its nearest point; also return how far they move."""
+    """Move finite points outside the domain to the nearest point of the domain; also return the distances moved."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     is_beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))  # by axis
     nearest = jnp.where(is_beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)

@@ -258,7 +258,7 @@ class NumpyPairs:
         return lengths
 
     def _clamped(self, p: _Points) -> tuple[_Points, _Lengths]:
-        """Move finite points outside the domain to its nearest point; also return how far they move."""
+        """Move finite points outside the domain to its nearest point; also return the distances moved."""
         is_beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)  # by axis
         nearest = np.where(is_beyond, np.copysign(self._half.astype(p.dtype), p), p)
         with np.errstate(invalid="ignore"):
@@ -272,7 +272,7 @@ class NumpyPairs:
         return np.stack([lower, STRETCHED * length + self._upper_error])
 
     def _lengths(self, scene: Scene, p: _Points, q: _Points) -> _Lengths:
-        """Return path lengths of pairs; ``scene`` has the walls that hide corners, and the corners of paths."""
+        """Return the length of each pair's shortest path among the walls and over the corners of ``scene``."""
         # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)

@@ -274,7 +274,8 @@ def distances_by_rows(
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
     """Yield the matrix of shortest path lengths along straight edges between points, in blocks of rows.
 
-    A block comes after the index of its first row. Lengths are ``inf`` without a path.
+    Each item is ``(first, block)``: the index of the block's first row, and the block. Lengths are ``inf`` without a
+    path.
     """
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)

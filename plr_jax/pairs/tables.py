@@ -72,7 +72,7 @@ def table_size(num_corners: int) -> int:
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the arrays of a file; sizes of some arrays depend only on ``num_bytes``, the size of the file."""
+    """Build the arrays that queries read; some of their sizes depend only on ``num_bytes``, the size of the file."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     width = float(stored.domain.width.max())
