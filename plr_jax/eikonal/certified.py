@@ -215,8 +215,8 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, " leaves"]:
     """Return upper bounds of (cost-to-go - leaf function f) in each leaf, by paths from voxel to voxel.
 
-    Paths lead along the centers of voxels. A bound is ``inf`` if some point of the leaf has no path, and for all
-    leaves if the space has other than three axes, a radius, or more than 2**24 voxels.
+    Paths lead along the centers of voxels. A bound is ``inf`` if some point of the leaf has no path. All bounds are
+    ``inf`` if the space has a radius, more than 2**24 voxels, or not three axes.
     """
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
     # Let p be c clipped to the leaf's box. Along each axis, p lies between c and x: |x - p| <= |x - c| <= side / 2.

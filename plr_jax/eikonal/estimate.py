@@ -2,8 +2,8 @@
 
 If motions cost the same in every direction, a front marches over the grid from all goals (``march.py``). If costs
 depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns), the estimate is
-the cost of shortest paths over edges of up to three grid steps along an axis, up to a few percent too long. Walls
-move to the nearest nodes.
+the cost of shortest paths along edges of the grid. Edges are up to three grid steps long along an axis, so the costs
+are up to a few percent too high. Walls move to the nearest nodes.
 """
 
 from dataclasses import dataclass
@@ -259,9 +259,10 @@ def _grid(
 ) -> tuple[Box, Shape]:
     """Choose a regular grid of about ``num_nodes`` nodes or more; return its box and its number of cells per axis.
 
-    Nodes are the cells' centers. Voxels of the space, or cells of a raster cost map, are divided into an odd number
-    of grid cells along each axis, or if these are too many, joined to groups of an odd number. Else the outermost
-    nodes lie on the domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
+    Nodes are the cells' centers. If the space has voxels, or the cost map has raster cells, each of these is divided
+    into an odd number of grid cells along each axis. If there are too many, a grid cell instead joins an odd number
+    of them along each axis. Otherwise the outermost nodes lie on the domain's faces, and steps are round decimals if
+    these fit: walls often have round coordinates.
     """
     domain = space.domain
     most = _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES

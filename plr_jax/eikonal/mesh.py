@@ -295,7 +295,8 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
     """Return a mesh in which blocked cells count as mixed if open cells beside them touch only in an edge or corner.
 
     Open cells are cells that are not blocked. A path that begins on such an edge or corner may go into any of the
-    open cells around it, and a path may pass through it if the space lets robots squeeze between obstacles.
+    open cells around it. A path may also pass through the edge or corner if the space lets robots squeeze between
+    obstacles.
     """
     #   +---+---+    A blocked flush cell A, seen along an edge (*) that it shares with an open cell B. The four cells
     #   | A | B |    around the edge are found at a small distance from it, the `inset`. If A and C are blocked but B

@@ -1,9 +1,9 @@
 """Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
-Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then, as in "Theta*:
-any-angle path planning on grids" (Nash, Daniel, Koenig, Felner 2007), a node skips the next node of its path, or
-takes the next node of a neighbor's path, if the straight motion there stays in free cells and costs less. If a goal's
-cell is not free, motions that the space proves free join the goal to nodes near it.
+Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then paths are
+straightened: a node skips the next node of its path, or takes the next node of a neighbor's path, if the straight
+motion there stays in free cells and costs less. If a goal's cell is not free, motions that the space proves free join
+the goal to nodes near it. Reference: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
 """
 
 from collections.abc import Iterator

@@ -1,9 +1,10 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
-A function is a lower bound if it is at most 0 at the goals, continuous across every face that is not proven blocked,
-and along every motion rises by no more than the motion costs. The alternating direction method of multipliers
-maximizes the function's integral; the multipliers are a flow along cheapest paths. At last the values are rescaled
-until they satisfy the constraints, rounding included. So the bound is proven after any number of iterations.
+A function is a lower bound under three conditions: it is at most 0 at the goals, it is continuous across every face
+that is not proven blocked, and along every motion it rises by no more than the motion costs. The alternating
+direction method of multipliers maximizes the function's integral; the multipliers are a flow along cheapest paths. At
+last the values are rescaled until they satisfy the constraints, rounding included. So the bound is proven after any
+number of iterations.
 
 :class:`CellCosts` bounds the costs of motions, and :class:`SlopeSets` derives the sets in which gradients must lie.
 :class:`SlopeProgram` is the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system that

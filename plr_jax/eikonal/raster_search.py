@@ -112,9 +112,9 @@ def search_finely(
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
     """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
 
-    A function is a lower bound if it is at most 0 at the sources and nowhere steeper than the cost of the cell. The
-    costs of known paths from centers and corners, linear in the four triangles around each center, are made less
-    steep by repeated projections, and at last rescaled to be such a function.
+    A function is a lower bound if it is at most 0 at the sources and nowhere steeper than the cost of the cell. Begin
+    with the costs of known paths from centers and corners, linear in the four triangles around each center. Repeated
+    projections make this function less steep, and a rescaling at last makes it a lower bound.
     """
     #   3-------2    1. The triangles of a cell, one at each side. Triangle k has the side from corner k to the next
     #   | \ 2 / |       corner, along an axis, and the center m. The corners k of all cells are the part places[k] of

@@ -114,10 +114,10 @@ def cost_distance(
         max_bytes: If given, the result has a PLR of at most so many bytes.
 
     Raises:
-        ValueError: If costs or heights are not such a raster, lengths or costs are too large or too small
-            for 64-bit numbers (the message states limits), a source is outside of it or in a barrier, there is no
-            source, an option is out of its range, or ``bounds`` comes with heights or more than 4 million cells.
-            If a front marches and costs differ by more than a factor of 100,000.
+        ValueError: If costs or heights are not such a raster. If lengths or costs are too large or too small for
+            64-bit numbers (the message states limits). If there is no source, or a source is outside of the raster or
+            in a barrier. If an option is out of its range, or ``bounds`` comes with heights or more than 4 million
+            cells. If a front marches and costs differ by more than a factor of 100,000.
     """
     # 1. The raster with the lowest coordinates first, and the sources in it.
     cost, box, flips = _raster(costs, cell_size)

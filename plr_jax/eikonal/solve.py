@@ -84,10 +84,10 @@ def solve_eikonal(
         seed: Seed of samples.
 
     Returns:
-        The PLR, of continuous leaves, or of planes if ``certified=False`` and the cost of motions is a sum of norms
-            of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the
-            goal. It may also be finite in obstacles, and at points that cannot reach the goal but are within a 64th
-            of the domain of points that can.
+        The PLR. Its leaves are continuous; they are planes if ``certified=False`` and the cost of motions is a sum of
+            norms of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path leads to
+            the goal. It may also be finite in obstacles, and at points that cannot reach the goal but are within a
+            64th of the domain of points that can.
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
@@ -105,18 +105,18 @@ def solve_eikonal(
 
     How bounds are proven:
 
-    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
-      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
-      most 40 % of ``max_bytes``.
+    - The lower bound is the largest function that meets three conditions: it is 0 at the goal (at most 0 at several
+      goals), it is continuous across every face that is not proven blocked, and along every motion it rises by no
+      more than the motion costs. The least cost of straight motions to the goals is a lower bound too, if the file
+      holds the goals: at most 64, in at most 40 % of ``max_bytes``.
     - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
       near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
 
     ``certified=False`` gives the estimate alone. Up to rounding to 32 bits, it is nowhere below the least cost of
     straight motions to the goals, or below 0 if the file does not hold the goals. In the plane it takes about a
     second: scikit-fmm marches over 160,000 nodes, and the mean error is mostly 0.003 to 0.6 %. In volumes, nodes are
-    voxels, or groups of voxels if there are more than 4 million, more than 16 million for a ball with a radius, or
-    more than 2 million if costs depend on the direction. In three made volumes of up to 128 x 128 x 128 voxels the
+    voxels. They are groups of voxels if there are more voxels than 4 million, 16 million for a ball with a radius, or
+    2 million if costs depend on the direction. In three made volumes of up to 128 x 128 x 128 voxels the
     mean error was 0.4 to 6 % of the mean cost (``experiments/volumes``): paths over centers of voxels stay half a
     voxel away from walls. In rock, where a leaf may hold several rooms and tunnels, errors are larger.
 

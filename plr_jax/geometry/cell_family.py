@@ -162,8 +162,8 @@ def cells_of_goals(
     """Return cells with their convex pieces and *sources*: points to which shortest paths from a piece may go first.
 
     Cell ``i`` is the free part of box ``box[i]``, with the sources of paths to ``goals[goal_of[i]]``.
-    Source ``g * count`` is goal ``g``, and source ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``, with
-    ``count`` 1 more than the number of corners.
+    Let ``count`` be 1 more than the number of corners. Source ``g * count`` is goal ``g``, and source
+    ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``.
     """
     sight = _sight_of_goals(shared.sight, corners, goals)
     count, num_sources = 1 + len(corners.points), len(sight.sources.points)

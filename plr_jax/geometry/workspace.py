@@ -75,8 +75,9 @@ class Workspace:
         boundary: The boundary of free space as vertices and edges, free space on the left of each edge.
 
     Raises:
-        ValueError: If the bounds are not a valid 2-D box or too far from the origin for their size, an obstacle
-        crosses itself or has no finite coordinates or no area, nothing is free, or walls or gaps are too thin.
+        ValueError: If the bounds are not a valid 2-D box, or too far from the origin for their size. If an obstacle
+            crosses itself, or has no finite coordinates or no area. If nothing is free, or walls or gaps are too
+            thin.
     """
 
     bounds: Box

@@ -1,10 +1,10 @@
 """Distances between pairs of grid cells in JAX.
 
 Cells that see each other are as far apart as on an empty grid. Other shortest paths lead from each cell, as on an
-empty grid, to one of up to dozens of obstacle corners that are stored for the cell, in blocks of four. First choose
-for each of the two cells the corner through which the path would be shortest on an empty grid, and compute the length
-of the path through these two corners. Then try only blocks with a corner through which a path on an empty grid would
-be shorter than this length.
+empty grid, to one of the obstacle corners that are stored for the cell: up to dozens, in blocks of four. First choose
+a corner for each of the two cells, through which the path would be shortest on an empty grid. Compute the length of
+the path through these two corners. Then try only blocks with a corner through which a path on an empty grid would be
+shorter than this length.
 """
 
 from collections.abc import Callable

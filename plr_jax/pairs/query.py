@@ -1,7 +1,7 @@
 """Queries of a PairPLR in JAX: the search for shortest paths.
 
-If two points x and y do not see each other, the path between them turns first and last at corners i and j that the
-leaves of both points list::
+If two points x and y do not see each other, the path between them turns first at a corner i and last at a corner j.
+The leaf of x lists the corner i, and the leaf of y lists the corner j::
 
     x ------ i ~~~~~~~~~~ j ------ y      |x - i| + D(i, j) + |j - y|, with D the distance between corners
        leg                   leg

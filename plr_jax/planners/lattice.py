@@ -64,8 +64,8 @@ class Kind:
     Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
     node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked
     primitive leads to its own node at infinite cost. All robots share the table, so no primitive leads to a start or
-    goal. Edges, from nodes ``begin`` to ``end``, are the table's free motions, then each robot's motions into its
-    start and goal, then a dummy edge of infinite cost that pads lists of edges.
+    goal. Edges lead from nodes ``begin`` to ``end``: the table's free motions, then each robot's motions into its
+    start and goal. The last edge is a dummy of infinite cost, which pads lists of edges.
     """
 
     robot: Robot
