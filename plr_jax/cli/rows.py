@@ -1,4 +1,4 @@
-"""Reading the points of a table block by block, so that tables may have any length."""
+"""Read the points of a CSV table block by block, so that tables of any length fit into memory."""
 
 import re
 from collections.abc import Iterator
@@ -49,7 +49,10 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
 
 
 def _blocks(file: Any) -> Iterator[str]:
-    """Yield the whole lines that have arrived, so that rows typed into a pipe are answered at once."""
+    """Yield the text of a binary file in blocks of whole lines.
+
+    A block is yielded as soon as its lines arrive, so that rows typed into a pipe are answered at once.
+    """
     rest = b""
     while data := file.read1(_BLOCK_BYTES):
         block, newline, rest = (rest + data).rpartition(b"\n")
@@ -61,7 +64,8 @@ def _blocks(file: Any) -> Iterator[str]:
 def _parse(rows: list[str], points: Float[np.ndarray, "n dim"]) -> list[int]:
     """Write the numbers of rows into ``points``, in place, and return the indices of bad rows.
 
-    ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
+    ``np.loadtxt`` is fast for many rows, but fails if one of them is bad. Then each half of the rows is parsed by
+    itself.
     """
     with suppress(ValueError):
         read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)

@@ -27,7 +27,10 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """The free cells of a grid, with steps between neighbors; cell indices include a border of blocked cells."""
+    """The base class of shortest-path distances over the free cells of a grid, along steps between neighbors.
+
+    Flat cell indices count a border of blocked cells around the grid too.
+    """
 
     goal: Float[np.ndarray, " dim"] | None
     dim: ClassVar[int]
@@ -38,7 +41,10 @@ class _CellGraph(ABC):
     _to_goal: Distances  # distance of each cell to the goal
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """Return the graph with another goal in a free cell, ``(dim,)`` (else ``ValueError``), sharing the edges."""
+        """Return a graph with the same cells and steps, and another goal ``(dim,)``.
+
+        ``ValueError`` is raised if the goal is not in a free cell.
+        """
         _ = self._steps  # computed once, for all copies
         graph: Any = copy(self)
         graph.__dict__.pop("_to_goal", None)
@@ -54,7 +60,7 @@ class _CellGraph(ABC):
         return self._to_goal[self._cells_of("x", x)]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal, and which hold others."""
+        """Return tests of which boxes of a domain hold free points with a path to the goal, or without one."""
         inside = (slice(1, -1),) * self.dim
         free = self._padded[inside]
         reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]
@@ -288,12 +294,12 @@ class GridField:
     raster with row 0 at the top give ``values[::-1]``, for a table ``[x, y, ...]`` give ``values.T``.
 
     Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
-    the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is
-    that of the nearest point between centers. Invalid arguments raise ``ValueError``.
+    the weights of the others are scaled to sum to 1. A point beyond the outermost centers has the distance of the
+    nearest point between centers. Invalid arguments raise ``ValueError``.
 
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
-            reached. Kept as a read-only array, with ``inf`` for all of these.
+            reached. It is kept as a read-only array, with ``inf`` in place of NaN and masked entries.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
             Periodic axes wrap around.
         free: Whether each cell is free, booleans like ``values``, so that a PLR answers ``inf`` in free cells without
@@ -349,9 +355,9 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, " n"]]:
-        """Return distances at points in the box, and whether each point's cell has a value.
+        """Return the distance at each point of the box ``bounds``, and whether the point's own cell has a value.
 
-        If no cell around a point has a value, its distance is ``inf``.
+        The distance is ``inf`` if none of the cells around the point has a value.
         """
         from scipy import ndimage  # slow to import, and needed only here
 
@@ -374,7 +380,7 @@ class GridField:
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold cells with a distance, and free cells without."""
+        """Return tests of which boxes of a domain hold cells with a distance, or free cells without one."""
         reached = np.isfinite(self.values).T
         return reach_of_cells(reached, self.free.T & ~reached, self.bounds, domain)
 

@@ -15,10 +15,11 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
     """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
 
     Each distance function takes positions ``(n, 2)``. Distances are at most the length of the robot's own shortest
-    path, and ``inf`` at blocked positions. Robots of equal size share the visibility of corners. If
-    ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), so that
-    distances are those of its reference point. Otherwise they are those of a point, which are shorter, as in section
-    V-B of the paper.
+    path, and ``inf`` at blocked positions. Robots of equal size share the preprocessing of the map.
+
+    If ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), so that
+    distances are those of its reference point. Otherwise distances are those of a point robot, which are shorter, as
+    in section V-B of the paper (Putman et al.).
     """
     first: dict[float, VisibilityGraph] = {}  # by radius of inflation
     distance_fns = []

@@ -25,12 +25,12 @@ Numbers: TypeAlias = Float[np.ndarray, " n"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class ClearanceSpace:
-    """Configurations of any robot whose signed distance to obstacles is known: an arm, a drone, several bodies.
+    """The configuration space of any robot whose signed distance to obstacles, its *clearance*, is a known function.
 
-    Within a box, the clearance differs from the one at the center by at most the sum over axes of ``lipschitz`` times
-    the half width. So one evaluation can prove a box free or blocked. Proofs hold only if the constants are right. If
-    clearances contradict the constants, an error names constants that would fit. Invalid arguments raise
-    ``ValueError``.
+    The robot may be an arm, a drone, or several bodies. In a box of configurations, the clearance differs from the
+    clearance at the center by at most the sum over axes of ``lipschitz`` times the half width. So one evaluation can
+    prove a box free or blocked. Proofs hold only if the constants ``lipschitz`` are right. If clearances contradict
+    the constants, an error names constants that would fit. Invalid arguments raise ``ValueError``.
 
     Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
     joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
@@ -41,8 +41,8 @@ class ClearanceSpace:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
         clearance: Function of configurations ``(n, dof)`` that returns signed distances ``(n,)``, finite, in any
             unit: at least 0 where free, negative where not, by the depth in an obstacle. It is called only within the
-            domain, with batches of varying size. If the distance is 0 inside obstacles, subtract a margin; without
-            depth, no box is proven blocked.
+            domain, with batches of varying size. If your distance is 0 inside obstacles, subtract a margin. A box is
+            then proven blocked only if ``lipschitz`` lets the clearance change by less than the margin in it.
         lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one for all.
         motion_cost: Cost of motions; by default their Euclidean length over all axes.
 

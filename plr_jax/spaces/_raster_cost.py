@@ -219,11 +219,18 @@ class RasterCost:
         return np.isfinite(self.values)
 
     def space(self, radius: float | int = 0.0) -> VoxelSpace:
-        """Return the space of a point, or of a ball of a radius in units of the bounds, among cells not blocked."""
+        """Return the configuration space of a point or ball among the blocked cells.
+
+        ``radius`` is in units of the bounds; 0 is a point.
+        """
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor of the motion cost, ``(n,)``; NaN where one of the leading coordinates is not finite."""
+        """Return the factor of the motion cost at configurations ``(n, dof)``, ``(n,)``.
+
+        Only the leading coordinates count, one for each axis of the raster. The factor is NaN if one of them is not
+        finite.
+        """
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         finite = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -320,7 +327,7 @@ class RasterCost:
         return (self.domain.width / self._sizes)[::-1]
 
     def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
-        """Tile an array three times along periodic axes; also return the slices of the middle copy."""
+        """Return an array repeated three times along periodic axes, and the slices of the middle copy in it."""
         wraps = self.domain.periodic[::-1]
         sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
         middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
@@ -359,8 +366,8 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 class SparseTable:
     """A table to look up the smallest and largest entry of any block of an array, as float32 rounded outward.
 
-    Level ``k`` has the extremes of all windows whose side is ``2**k``, or the whole axis if that is shorter. Windows
-    of the largest level that fits into a block cover the block; they may overlap, which does not change extremes::
+    Level ``k`` has the extremes of all windows whose side is ``2**k``, or the whole axis if that is shorter. A block
+    is covered by windows of the largest level that fits into it. These may overlap, which does not change extremes::
 
         block     |-----------|
         windows   |-------|
@@ -373,7 +380,11 @@ class SparseTable:
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """Return the least and largest entry of blocks, given by first and last indices, rounded outward."""
+        """Return the least and the largest entry of each block, ``(n,)`` each.
+
+        Block ``i`` has the indices from ``first[i]`` to ``last[i]``, both included, along each axis. Results may be
+        rounded outward to float32.
+        """
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         # The number of levels after the first one whose windows fit is the largest such level.

@@ -22,7 +22,7 @@ _LEAST_RADIUS = 1e3  # of a ball, in tolerances
 
 @dataclass(frozen=True, eq=False, init=False)
 class VoxelSpace:
-    """Positions of a point or ball among voxels; the cost of a motion is its length.
+    """The configuration space of a point or ball among voxels; the cost of a motion is its length.
 
     With default bounds, voxel ``[i, j, k]`` fills ``[i, i + 1] x [j, j + 1] x [k, k + 1]``: array axes are coordinate
     axes, in order. (In :class:`Workspace.from_mask`, as in pictures, rows are ``y``.) A position is free if the robot
@@ -59,7 +59,7 @@ class VoxelSpace:
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Boolean array of the free voxels, read-only."""
+        """Whether each voxel is free: a read-only boolean array."""
         return self.grid.free
 
     @property
@@ -133,7 +133,7 @@ class VoxelSpace:
         return free
 
     def separated(self, q: ArrayLike) -> "tuple[VoxelSpace, VoxelSpace | None]":
-        """Return the space of free voxels that faces join to positions ``q``, and the space of other free voxels.
+        """Divide the space into free voxels connected through faces to a position of ``q``, and other free voxels.
 
         The second is None if there are no other free voxels, or if no voxel is joined to ``q``.
         """

@@ -25,9 +25,9 @@ Moves = Literal["any-angle", 4, 8]
 class GridDistance:
     """The distance from any point of a grid to a goal, made by :func:`grid_distance`; a pytree of arrays.
 
-    All distances are NaN if ``is_complete`` is false (the map has more than ``max_corners`` corners where paths may
-    bend) or ``is_nan`` is true (a coordinate of the goal is NaN). Shapes of arrays depend only on the ``shape`` of
-    the grid, ``(rows, columns)``, on ``moves`` and ``max_corners``.
+    All distances are NaN if ``is_complete`` is false or ``is_nan`` is true. The first means that the map has more
+    than ``max_corners`` corners where paths may bend, the second that a coordinate of the goal is NaN. The shapes of
+    the arrays depend only on the ``shape`` of the grid, ``(rows, columns)``, on ``moves`` and on ``max_corners``.
     """
 
     paths: Steps | CornerPaths
@@ -63,9 +63,10 @@ class GridDistances:
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances between points ``x`` and the points ``y`` at the same index; see :class:`GridDistance`.
+        """Return the distance between each point of ``x`` and the point of ``y`` at the same index, in cell sides.
 
-        Points ``(x, y)`` are ``(..., 2)``, real; their leading axes broadcast, else ``ValueError``.
+        Both arrays are real, ``(..., 2)``, with rows ``(x, y)``. Their leading axes must broadcast, else
+        ``ValueError``. Distances are ``inf`` or NaN as for :class:`GridDistance`.
         """
         _require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
         x, y = _as_points("x", x), _as_points("y", y)
@@ -98,9 +99,9 @@ def grid_distance(
     between cells counts as free if one of them is. The center of cell ``[i, j]`` is ``(j + 0.5, i + 0.5)``; integer
     points are corners of cells, and give a ``UserWarning``. Invalid arguments raise ``ValueError``, also in tracing.
 
-    If the agent moves between neighboring cells, ``moves=4`` or ``moves=8`` is several times faster. If it stands on
-    cell centers, compute ``field.cells`` once and index ``cells[row, column]``: faster than ``field(x)`` in each
-    step.
+    If the agent moves between neighboring cells, ``moves=4`` or ``moves=8`` is several times faster than any-angle
+    paths. If the agent stands on cell centers, compute ``field.cells`` once and index ``cells[row, column]``. This is
+    faster than to call ``field(x)`` in each step.
 
     Args:
         free: Which cells are free, booleans ``(h, w)``.
@@ -109,10 +110,11 @@ def grid_distance(
             between two blocked cells that share only a corner. These are the distances of ``VisibilityGraph`` in
             ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells that share a side, from the point's
             cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
-        max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Maps with
-            more give NaN and ``is_complete`` false. Time and memory grow with the square; without a goal, time with
-            the cube. At most 4,096. Default: the number of cell corners inside the grid, ``(h - 1) * (w - 1)``, if
-            it is at most 256 (17 x 17 cells), else half of it.
+        max_corners: For any-angle paths only: the largest number of convex corners of blocked cells, where paths can
+            bend. Maps with more corners give NaN, and ``is_complete`` is false. Time and memory grow with the square
+            of this number; without a goal, time grows with its cube. It is at most 4,096. Default: the number of
+            cell corners inside the grid, ``(h - 1) * (w - 1)``, if this is at most 256 (17 x 17 cells), else half
+            of it.
     """
     mask = _as_mask(free)
     h, w = mask.shape
