@@ -18,7 +18,7 @@ from plr_jax._types import ArrayLike
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
-_LONGEST = 200  # characters of a value in an error
+_LONGEST = 200  # most characters of a value in an error
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)  # of SplitMix64
 
 

@@ -19,7 +19,7 @@ from plr_jax._arrays import is_traced, padded
 
 Class = TypeVar("Class", bound=type)
 Columns = TypeVar("Columns")  # an array, or a tuple or another pytree of arrays
-_PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
+_PARTS = 8  # a batch of more than this many small parts is divided into large parts instead
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))

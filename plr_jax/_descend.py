@@ -179,9 +179,9 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
             break
         edges = joined
         length, onward = shortest(edges)
-    # 4. Find the first place of each start: the nearest visible goal, else a place where the path may turn, else any
-    #    place in sight (a cone without sides: normals of 0). With several goals, places where the path may turn are
-    #    compared also for starts that see a goal, since a path to another goal may be shorter.
+    # 4. Find the first place of each start: the nearest visible goal, else a visible place where a shortest path may
+    #    turn, else any visible place (each has a cone without sides, with normals of 0). With several goals, places
+    #    where a path may turn are compared also for starts that see a goal: a path to another goal may be shorter.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
     goal_ways = first_visible_in_parts(
@@ -223,7 +223,7 @@ def _edges(
     """
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
-        # The distance to each place plus its cost-to-go; NaN where no shortest path can go.
+        # Return the distance to each place plus its cost-to-go; NaN where no shortest path can go.
         corner = corners[rows]
         score = distances_between(places.points[corner], places.points) + field
         pairs = corner[:, None], np.arange(len(places.points))

@@ -59,7 +59,7 @@ _STEP_TOLERANCE = 0.01  # relative error allowed for the costs of steps
 _LAST_TOLERANCE = 0.001  # relative error allowed for the costs of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
 _LEAST_PART = 1 / 16  # parts of a motion shorter than this share may have the absolute error of such a share
-_MOST_HALVINGS = 40  # of a motion whose cost is integrated
+_MOST_HALVINGS = 40  # largest number of times that an interval of a motion is halved
 # Steps:
 _LONGEST = 1 / 4  # longest step, as a share of the domain
 _NUM_LENGTHS = 8  # number of lengths of steps, each half as long as the one before
@@ -254,9 +254,9 @@ class _Lookahead:
         promised = np.empty((len(x), num_ways))
 
         def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
-            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long. The slope
-            # is (value here - value there) / cost, from 0 to 1. NaN for steps along which the field does not fall
-            # enough.
+            # Return the rank of each step, best first: minus the slope, plus _LONGER for each halving of the longest
+            # step. The slope is (value here - value there) / cost, from 0 to 1. Steps along which the field does not
+            # fall enough have NaN.
             here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
@@ -414,7 +414,7 @@ def _cheapest_places(
         rows = np.flatnonzero(is_known == trusted)
 
         def prices(part: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "part k"]:
-            # Costs of the ways through changed places; NaN if they are not cheaper than `now`.
+            # Return the costs of the ways through changed places; NaN if they are not cheaper than `now`.
             y = domain.wrapped(x[rows[part], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
             a, b = (np.repeat(ends[rows[part]], k, axis=0)[inside] for ends in (before, after))

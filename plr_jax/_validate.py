@@ -37,8 +37,8 @@ class ValidationReport:
         valid: Whether the path solves the problem.
         cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
         clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
-            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. After a collision, the
-            clearance is about minus the depth of the first overlap.
+            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. If the path has a
+            collision, the clearance is about minus the depth of the first overlap.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -354,7 +354,7 @@ def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | No
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
     workspace = problem.workspace
     when = collision.first_moment
-    # The smallest clearance at some moments of the first motion that collides: about minus the overlap.
+    # Take the smallest clearance at some moments of the first motion that collides: about minus the overlap's depth.
     times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
     depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))

@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.cli.inputs import DEFAULT_BYTES
 from plr_jax.cli.plan import solve
 
-# Points in a batch, and timed calls, of the PLR and of the oracle, which is slower.
+# Number of points in a batch, and of timed calls: for the PLR, and for the oracle, which is slower.
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
 _CONE_BYTES = 1024  # size limit of the file in the page

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from plr_jax.cli.app import warn
 
-_BLOCK_BYTES = 1 << 20  # read at a time, which bounds the memory
-_MOST_SHOWN = 80  # characters of a bad row in a warning
+_BLOCK_BYTES = 1 << 20  # bytes read at a time, which bounds the memory
+_MOST_SHOWN = 80  # most characters of a bad row in a warning
 _HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field begins with a letter or _
 
 
@@ -23,7 +23,7 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
     """
     expected = f"{dim} comma-separated numbers"
     may_be_header = is_empty = True
-    num_lines = 0  # in earlier blocks
+    num_lines = 0  # number of lines in earlier blocks
     for block in _blocks(file):
         # 1. Number the lines of the block from 1, and drop blank ones, and the header if this is the first row.
         lines = block.split("\n")

@@ -296,7 +296,7 @@ class Dubins(_Car):
         turn = _forward_turn(heading, _SLACK)
         slack = _SLACK / np.maximum(distance, _SLACK)  # error of the vector's direction, if its end is off by _SLACK
         first = _forward_turn(angle, slack)
-        # A first turn that exceeds both turns by no more than this error is both turns: then the last is 0.
+        # A first turn that exceeds `turn` by no more than this error counts as `turn`; the last turn is then 0.
         first = np.where(first <= turn + slack, np.minimum(first, turn), first)
         last = turn - first
         yield Word("LSL", (first, distance, np.where(last < 0, last + _CIRCLE, last)))

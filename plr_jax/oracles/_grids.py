@@ -149,7 +149,7 @@ class GridGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> csr_array:
-        # A graph of the padded grid: each edge once. Diagonal steps need both cells beside them free.
+        # Return the graph of the padded grid, with each edge once. Diagonal steps need both cells beside them free.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
         edges = []
@@ -238,7 +238,8 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, " voxels"]]:
-        # Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free.
+        # Return the changes of a voxel's three indices, one row per step; and for each voxel a number with a bit per
+        # step, which is set if the step is free.
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
@@ -266,7 +267,7 @@ class VoxelGraph(_CellGraph):
         distance[root] = 0.0
         buckets = {0: [root]}
         while buckets:
-            # 1. Take the voxels of the first bucket, but not those that have become nearer: their bucket is done.
+            # 1. Take the voxels of the first bucket, without voxels that have moved to an earlier bucket since then.
             first = min(buckets)
             voxels = np.concatenate(buckets.pop(first))
             voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == first])
@@ -386,7 +387,7 @@ class GridField:
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        # Four arrays. The first three have a layer of copied cells around the grid:
+        # Return four arrays. The first three have a layer of copied cells around the grid:
         #   padded    the distance, NaN in cells without a value
         #   filled    the distance, 0 in cells without a value
         #   weights   1 in cells with a value, else 0

@@ -30,7 +30,7 @@ Entries: TypeAlias = Float[np.ndarray, " entries"]
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
 _DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache
-_LANDMARKS = 24  # on den520d, fewer leave more corners to try, and more cost more than they save
+_LANDMARKS = 24  # corners used as landmarks; on the map den520d, fewer and more are slower
 _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 
@@ -63,7 +63,7 @@ class PairDistances:
     workspace: Workspace
     visibility: CornerVisibility
 
-    def __reduce__(self):  # without the cached properties
+    def __reduce__(self):  # pickle without the cached properties
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
@@ -219,7 +219,8 @@ class PairDistances:
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, targets: Points) -> Entries:
-        # The length of a path from each list's point through a corner, and straight on to the point's target.
+        # Return, for each entry, the length of the path from its point to its corner, then straight to the target of
+        # the point.
         to_other = targets[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 

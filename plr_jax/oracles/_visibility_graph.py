@@ -58,8 +58,8 @@ class VisibilityGraph:
     distances: Float[np.ndarray, " vertices"]
     _parents: Int[np.ndarray, " vertices"]  # next vertex on each shortest path to the goal, -1 for none
     _goal_table: VisibilityTable  # what the goal sees
-    _turns: TurnPoints  # corners at which shortest paths may turn first, and from where
-    _goal_edges: Int[np.ndarray, "edges 2"]  # of the graph: 0, and a vertex that the goal sees
+    _turns: TurnPoints  # corners at which shortest paths may turn first, and the cones from which such paths come
+    _goal_edges: Int[np.ndarray, "edges 2"]  # edges of the graph at the goal: 0, and a vertex that the goal sees
     _pairs: PairDistances
     is_lower_bound: ClassVar[bool] = True
     """True: no path of the robot's reference point is shorter."""
@@ -76,7 +76,8 @@ class VisibilityGraph:
     ):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
-        # 1. Find what corners see, and what the goal sees: a table, and corners, -1 for vertices that are none.
+        # 1. Find what the corners see, and what the goal sees: a visibility table, and the indices of the vertices in
+        #    sight as corners, -1 for vertices that are not corners.
         if shared is None:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
@@ -312,7 +313,7 @@ def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> Cell
     Sources are the goals of ``graphs``, which are oracles of one workspace, and the corners. Paths lead to the
     nearest goal.
     """
-    # 1. Let all oracles share corners: those that were not made of one another may number them in different ways.
+    # 1. Let all oracles share corners. Oracles that were not made from one another may number them differently.
     first, count = graphs[0], len(graphs)
     graphs = [oracle if oracle.family is first.family else first.with_goal(oracle.goal) for oracle in graphs]
     corners, tables = first.family, [oracle._goal_table for oracle in graphs]

@@ -23,7 +23,7 @@ DISTANCE, WORKSPACE_UNITS = "distance to the goal", "workspace units"
 FONT_SIZE = 9  # points
 _PANEL = 4.2  # inches of the longer side of the plotted box
 DPI = 200  # pixels per inch
-SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
+SQUARE = Box((0, 0), (1, 1))  # gives pictures whose axes have different units a square shape
 
 
 @runtime_checkable

@@ -191,7 +191,7 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
             place = center if is_goal else _least_covered(around, dashed, size)
             add_number(ax, i, place, color_of(i) if is_goal else ink_on(color_of(i)))
         else:
-            # 3. Beside: at one of eight places close around the outline, where the least is drawn.
+            # 3. Beside: at the one of eight places around the outline where the least is drawn.
             corners = shapely.get_coordinates(shape) - center
             around = [center + ((corners @ u).max() + 0.62 * size) * u for u in _AROUND]
             place = _least_covered(around, occupied, size)

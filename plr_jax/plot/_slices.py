@@ -24,8 +24,8 @@ from plr_jax.plot._plane import draw_values, free_points, mark_goals, require_dr
 from plr_jax.spaces import FreeTest
 
 _MOST_SLICES = 64
-_NUM_LEVELS = 12  # of contours
-_ASPECT = 1.6  # width of all slices together, by their height
+_NUM_LEVELS = 12  # largest number of contour levels
+_ASPECT = 1.6  # width of all slices together, divided by their height
 # Inches, along x and y.
 _PANEL = 1.9  # the longer side of a slice
 _GAP = (0.2, 0.35)  # between slices, with room for titles

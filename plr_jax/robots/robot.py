@@ -16,7 +16,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 _ROUNDING = 1e-12  # slack of the checks of a body, as a share of its size
 _HALF_TURN = 0.5 + 1e-10  # in full turns; the excess absorbs the rounding of headings up to 1e5
 _MOST_VERTICES = 1_000
-_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, the front left one first
+_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, front left first
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
 Rows: TypeAlias = Int[np.ndarray, " n"]

@@ -29,12 +29,12 @@ PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg
 YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
 # Limits of a picture, which bound the memory and time that any file takes.
-_MOST_BYTES = 2**26  # of the file
+_MOST_BYTES = 2**26  # bytes of the file
 _MOST_PIXELS = 2**24
 _MOST_DECODED = 3 * 2**24  # bytes of all decoded pixels
 _SMALL = 2**22  # pixels that a file of any size may have
 _PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger pictures
-_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
+_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # by Pillow's mode, when decoded; all other modes take 4
 _BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 _NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
 _NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
@@ -42,7 +42,7 @@ OPAQUE = 255  # largest value of an alpha channel
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
 # Tags of TIFF, two of their values, and tags of GeoTIFF.
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339
-_BLACK_IS_ZERO, _SIGNED = 1, 2  # of _PHOTOMETRIC and of _SAMPLE_FORMAT
+_BLACK_IS_ZERO, _SIGNED = 1, 2  # values of _PHOTOMETRIC and of _SAMPLE_FORMAT
 _PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
 # Entries of _GEO_KEYS: the key, the tag that holds its value (0: this entry), the number of values, and the value.
 _PIXEL_IS_POINT = [1025, 0, 1, 2]  # raster coordinates refer to pixel centers

@@ -41,7 +41,7 @@ def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distanc
 
     The place is at most ``distance`` away. The headings of robots that turn change too.
     """
-    # The square root makes the positions uniform in the disc.
+    # The square root makes the random positions uniform in the disc of radius `distance`.
     for _ in range(_ATTEMPTS):
         ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
@@ -54,9 +54,9 @@ def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distanc
     raise ValueError(f"Robot {i} has no other free {name} within {distance:g} in {_ATTEMPTS:,} attempts.")
 
 
-_RADIUS = 0.4  # of the discs at a door and in a crowd
-_MOST_AT_A_DOOR = 50  # robots
-_WALLS = (  # of a door
+_RADIUS = 0.4  # radius of the discs at a door and in a crowd
+_MOST_AT_A_DOOR = 50  # largest number of robots
+_WALLS = (  # the obstacles beside a door
     ((10.0, 0.0), (11.0, 0.0), (11.0, 9.4), (10.0, 9.4)),
     ((10.0, 10.6), (11.0, 10.6), (11.0, 20.0), (10.0, 20.0)),
 )

@@ -146,10 +146,10 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
         sizes = " x ".join(f"{along:.6g}" for along in shape)
         raise ValueError(f"expected at most {_MOST_MESH_VOXELS:,} voxels, got {sizes}: give a larger pitch.")
     blocked = np.zeros(shape.astype(np.int64).tolist(), bool)
-    # 2. Block the surface, of the triangles whose bounding boxes are near the grid.
+    # 2. Block the surface; only triangles whose bounding boxes are near the grid can meet it.
     is_near = (triangles.min(axis=1) <= shape + 1) & (triangles.max(axis=1) >= -1)
     _block_surface(triangles[is_near.all(axis=1)], blocked)
-    # 3. Block what it encloses: free voxels that are not connected through faces to the border of the grid.
+    # 3. Block what the surface encloses: free voxels that are not connected through faces to the grid's border.
     if fill:
         from scipy import ndimage
 
@@ -170,8 +170,8 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
     order = np.argsort(blocked.shape, kind="stable")
     blocked = blocked.transpose(order)
     corners = triangles.transpose(2, 1, 0)[order]  # (axis, corner, triangle)
-    # 2. List the edges (axis, end, edge, triangle). Each begins at its lower end along the first axis, so both
-    #    triangles at an edge clip it alike.
+    # 2. List the edges (axis, end, edge, triangle). Each begins at its lower end along the first axis, so that an
+    #    edge is clipped in the same way for both of its triangles.
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
     edges = np.where(edges[:1, :1] > edges[:1, 1:], edges[:, ::-1], edges)
     # 3. Clip to slabs, then to rows, in batches. Each clipping drops the axis along which it clips.

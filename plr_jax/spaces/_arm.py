@@ -20,7 +20,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, b
 
 _BOXES = 1 << 14  # boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
-_MOST_BISECTIONS = 12  # of a motion
+_MOST_BISECTIONS = 12  # largest number of times that a motion is halved
 _SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 Angles: TypeAlias = Float[np.ndarray, "n joints"]

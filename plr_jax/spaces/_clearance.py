@@ -15,7 +15,7 @@ from plr_jax.spaces._space import CellState, Configurations, MotionCost, as_boxe
 
 _BATCH = 1 << 14  # configurations or boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
-_MOST_BISECTIONS = 10  # of a motion
+_MOST_BISECTIONS = 10  # largest number of times that a motion is halved
 _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the last place
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
@@ -114,14 +114,14 @@ class ClearanceSpace:
         return state
 
     def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, " n"]:
-        # 1. The part of each box in the domain. A box that leaves the domain, by more than rounding, is not free.
+        # 1. Find the part of each box in the domain. A box that leaves the domain by more than rounding is not free.
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
         beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
         center, half = (inner_lo + inner_hi) / 2, (inner_hi - inner_lo) / 2
         clearance = self._clearances(center)
-        # 2. Check the constants against the clearance at the middle of a face: box by box along other axes, and on
-        #    the other side after each cycle of axes.
+        # 2. Check the constants against the clearance at the middle of one face per box. The face's axis changes from
+        #    box to box, and its side after each cycle of axes.
         row = np.arange(len(center))
         axis, side = row % self.domain.dim, 1 - 2 * (row // self.domain.dim % 2)
         face = center.copy()
@@ -178,7 +178,7 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        # A bound of the rounding error of clearances: of their computation, and of the configurations.
+        # Return a bound of the rounding error of clearances: from their computation, and from rounded configurations.
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property

@@ -26,7 +26,7 @@ def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray],
         raise ValueError(f"{expected}, got {values} {place}.")
 
 
-# A box has pulls only if they say more than the bounds of the cost map.
+# Pulls (see `cost_bounds`) of a box are used only if they are tight enough:
 _LEAST_RATIO = 0.25  # ``least`` must exceed this share of ``most``
 _LEAST_MARGIN = 0.02  # the cost that pulls save must be below ``least`` by more than this share of ``most``
 

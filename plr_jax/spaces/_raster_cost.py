@@ -42,7 +42,7 @@ _RADIUS_ROUNDING = 1e-9  # a cell this share beyond a radius counts as within: r
 # corresponding values of the occupancy grids in which Nav2 and ROS publish cost maps.
 _MAX_COST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
 _GRID_UNKNOWN, _GRID_MAX_COST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
-_MAX_ENTRIES = 2**26  # of a sparse table (256 MiB); beyond it, large blocks need more lookups
+_MAX_ENTRIES = 2**26  # entries of a sparse table (256 MiB); a larger table lacks levels, so large blocks take longer
 _WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]

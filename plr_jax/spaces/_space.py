@@ -41,7 +41,7 @@ class MotionCost:
     blocks: tuple[tuple[tuple[int, ...], float], ...]
 
     def __init__(self, blocks: Any):
-        # 1. Pairs of axes and a weight. Anything else fails the next test.
+        # 1. Read the pairs of axes and a weight. Any other value becomes a pair that fails the next test.
         try:
             pairs = [(tuple(axes), weight) for axes, weight in blocks]
         except (TypeError, ValueError):
@@ -51,7 +51,7 @@ class MotionCost:
         if not are_integers or not all(axes for axes, _ in pairs):
             expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
             raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
-        # 2. Each axis once, and positive weights.
+        # 2. Check that each axis occurs once, and that weights are positive.
         if not listed or sorted(listed) != list(range(len(listed))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
         weight_of = partial(as_finite, "The weight of a block", positive=True)

@@ -160,7 +160,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    # The one of two ends (see `Ends`) that lies towards x.
+    # Return the end, of each pair of `Ends`, that lies towards x.
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -171,7 +171,7 @@ class Corners:
     """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend."""
 
     free: Bool[Array, "*maps h w"]  # padded to two rows and columns or more
-    index: Int32[Array, "*maps corners"]  # number of a point of :func:`lattice`
+    index: Int32[Array, "*maps corners"]  # index of each corner in :func:`lattice`
     is_convex: Bool[Array, "*maps corners"]  # False for padding
 
     @property
@@ -296,7 +296,7 @@ class CornerPaths:
         return cls(corners, relax_from_seen(lengths, straight), goal)
 
     def cells(self) -> Float[Array, "h w"]:
-        # The distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
+        # Return the distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
         return self._distance(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
 
@@ -305,8 +305,8 @@ class CornerPaths:
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
     def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
-        # The distance of points that see the corners `seen`: the least of the straight segment to the goal, and of
-        # the paths through each visible corner.
+        # Return the distance of points that see the corners `seen`: the least length of the straight segment to the
+        # goal, and of the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
@@ -347,7 +347,7 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    # The lengths of segments; inf where the ends do not see each other.
+    # Return the lengths of segments; inf where the ends do not see each other.
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 

@@ -20,7 +20,7 @@ Shape = tuple[int, ...]
 Points = Float[Array, "*batch 2"]
 Cells = tuple[Int32[Array, " 4 *batch"], Int32[Array, " 4 *batch"]]
 Distances = Float[Array, "h w"]
-WORD = 32  # bits of a word, which holds as many cells of a row, the first column in the lowest bit
+WORD = 32  # bits of a word; each is a cell of a row, and the first column is in the lowest bit
 _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
