@@ -134,7 +134,8 @@ _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
     """Find paths in a workspace from corner to corner; each corner is joined to the places that the field ranks best.
 
-    *Places* are the goals, then the corners.
+    *Places* are the goals, then the corners. Return the vertices of the paths, their numbers of vertices (0: no
+    path), lengths, costs (equal to lengths), and whether each start is free.
     """
     # 1. Check the arguments, and evaluate the field at all places.
     starts = as_points("starts", workspace.settled(starts), 2)

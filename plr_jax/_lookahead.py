@@ -162,7 +162,11 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Find a path from each start down a field to a goal, and make it cheaper; see ``Chains`` for the result."""
+    """Find a path from each start down a field to a goal, and make it cheaper.
+
+    Return the vertices of the paths, their numbers of vertices (0: no path), lengths and costs, and whether each
+    start is free.
+    """
     # 1. Check the starts and the goal.
     domain = costs.space.domain
     starts, goal = (domain.settled(q, costs.space.is_free) for q in (starts, goal))

@@ -143,7 +143,10 @@ class ReachFn(_PointFn, Protocol):
 
 @runtime_checkable
 class StackableDistanceFn(_PointFn, Protocol):
-    """A distance function, such as a PLR, whose class can combine one function per robot into one for a team."""
+    """A distance function, such as a PLR, whose ``stack`` combines the functions of several robots, one per robot.
+
+    The result maps joint configurations to each robot's own distance.
+    """
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]: ...

@@ -1,4 +1,4 @@
-"""Arguments and options that commands share: maps, goals and output files."""
+"""Read and check the arguments that commands share: maps, goals and output files."""
 
 import os
 import shlex
@@ -63,7 +63,7 @@ class NamedMap:
 
     @classmethod
     def of_label(cls, label: str) -> "NamedMap | None":
-        """Return the map that a text of the form of :attr:`label` names, or None if the text has another form."""
+        """Convert the text of :attr:`label` back to the map that it names; None if the text names no map."""
         try:
             name, *words = shlex.split(label)
             arguments = dict(word.removeprefix("--").split("=", 1) for word in words)

@@ -19,7 +19,7 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
     """Yield the points of a table block by block: ``dim`` comma-separated numbers per line, after an optional header.
 
     ``file`` is a binary file. Blank lines are skipped. Rows that are not points become NaN; a warning for each block
-    names the first of them. ``ValueError`` is raised if the table has no rows.
+    names its first such row. ``ValueError`` is raised if the table has no rows.
     """
     expected = f"{dim} comma-separated numbers"
     may_be_header = is_empty = True

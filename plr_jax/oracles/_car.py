@@ -278,7 +278,7 @@ class Dubins(_Car):
     A shortest path is one of six words, LSL, RSR, LSR, RSL, RLR, LRL: Dubins, "On curves of minimal length with a
     constraint on average curvature", American J. of Mathematics 79, 1957. The distance depends on the direction of
     travel. It jumps, by up to a full circle, at poses from which a single turn, or one turn to each side, leads to
-    the goal. There the shorter path counts, which may miss the goal by 1e-10 turning radii.
+    the goal. At such poses the shorter path counts, which may miss the goal by 1e-10 turning radii.
     """
 
     @property

@@ -60,7 +60,7 @@ class _CellGraph(ABC):
         return self._to_goal[self._cells_of("x", x)]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests of which boxes of a domain hold free points with a path to the goal, or without one."""
+        """Return tests that tell which boxes of a domain hold free points with a path to the goal, or without one."""
         inside = (slice(1, -1),) * self.dim
         free = self._padded[inside]
         reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]
@@ -381,7 +381,7 @@ class GridField:
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests of which boxes of a domain hold cells with a distance, or free cells without one."""
+        """Return tests that tell which boxes of a domain hold cells with a distance, or free cells without one."""
         reached = np.isfinite(self.values).T
         return reach_of_cells(reached, self.free.T & ~reached, self.bounds, domain)
 

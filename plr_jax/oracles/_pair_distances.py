@@ -278,7 +278,7 @@ class PairDistances:
 
 
 def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:
-    """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
+    """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if there are no values."""
     # `reduceat` reduces up to the next index, so leaving out empty runs does not change the others.
     minima, has_values = np.full(len(first) - 1, np.inf), np.diff(first) > 0
     if has_values.any():

@@ -157,7 +157,10 @@ class VisibilityGraph:
 
     @cached_property
     def sight(self) -> Sight:
-        """The ``sources``, and data to test which of them can be first on paths from a convex piece of free space."""
+        """The ``sources`` (goal and corners), and data to test which come first on paths from a piece of free space.
+
+        A piece is a convex part of free space.
+        """
         table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
@@ -174,7 +177,7 @@ class VisibilityGraph:
         return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return a free sample point in each box, and the corners that it sees, for oracles of any goal."""
+        """Return a free sample point in each box, and the corners that it sees. The result holds for all goals."""
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
@@ -186,7 +189,10 @@ class VisibilityGraph:
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return each box's convex pieces of free space, and the corners at which paths from each may turn first."""
+        """Return each box's convex pieces of free space, and for each piece the corners where paths may turn first.
+
+        The result holds for all goals.
+        """
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(

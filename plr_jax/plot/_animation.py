@@ -1,4 +1,4 @@
-"""Animations of paths: GIF files, and web pages that play a path."""
+"""Animate a path of robots, as a GIF file or as a web page that plays the path: :func:`animate`."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""Figures, axes and color bars that the plots share."""
+"""Make figures, axes and color bars in the style that all plots share, and save pictures."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""Self-contained web pages: interactive pages of distance functions, and building blocks of animations."""
+"""Make self-contained web pages: interactive pages of distance functions, and parts of the pages of animations."""
 
 import html
 import json

@@ -1,4 +1,4 @@
-"""Pictures of problems, planned paths and samples, with the drawing of robots that animations share."""
+"""Draw problems, planned paths and samples; and draw robots, also for animations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Pictures of functions in the plane and of slices: surfaces, contours, cells and errors; and of workspaces."""
+"""Draw workspaces, and functions of the plane or of a slice: as a surface, as contours, as cells, or as errors."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias

@@ -1,4 +1,4 @@
-"""Pictures of functions of three or more dimensions: slices side by side with one color scale."""
+"""Draw a function of three or more dimensions as slices, side by side with one color scale: :func:`slices`."""
 
 from collections.abc import Mapping
 

@@ -234,7 +234,10 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return nine segments per clipped triangle: its three edges, three between their begins, three between ends."""
+    """Return nine segments per clipped triangle: the three edges, and segments between their begins and their ends.
+
+    Three segments join the begins of the edges, and three join their ends.
+    """
     #     ends   o------o   ceiling    Each of the three edges is joined to the next, so all pairs are joined. The
     #           /        \             segments are the outline of the piece, or lie inside it, since it is convex.
     #   begins o----------o floor      A segment from an edge that was clipped away is NaN.

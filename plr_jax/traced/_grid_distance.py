@@ -42,11 +42,12 @@ class GridDistance:
         return _cells(self)
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances ``(...)`` in cell sides from points ``(x, y)``, ``(..., 2)``, to the goal.
+        """Return the distance from each point to the goal, ``(...)``, in cell sides.
 
-        They are ``inf`` with gradient 0 outside the grid, inside blocked cells and where no path exists. They are NaN
-        where a coordinate of the point or goal is NaN, and if ``is_complete`` is false. ``ValueError`` if points are
-        not real. Points of an integer type are corners of cells, and give a ``UserWarning``.
+        ``x`` has rows ``(x, y)``, ``(..., 2)``. Distances are ``inf`` with gradient 0 outside the grid, inside
+        blocked cells and where no path exists. They are NaN where a coordinate of the point or goal is NaN, and if
+        ``is_complete`` is false. ``ValueError`` if points are not real. Points of an integer type are corners of
+        cells, and give a ``UserWarning``.
         """
         _require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
         return _distance(self, *_as_floats(x=_as_points("x", x)))
