@@ -18,7 +18,7 @@ _SCEN_COLUMNS = 9
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace; its bounds are the bounding box of the free cells.
 
-    The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``; so a picture with
+    The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``. So a picture with
     ``y`` up shows the map upside down. Cells are free if they are ``.`` or ``G`` (ground), or ``S`` (swamp, at no
     extra cost). ``squeeze`` says whether a path may pass between two blocked cells that touch in one corner.
     ``ValueError`` is raised if the file is not a Moving AI map, its rows do not match its header, or no cell is free.

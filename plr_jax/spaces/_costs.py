@@ -57,7 +57,7 @@ class DirectionalCost(CostMap, Protocol):
 
     A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. For each
     box, :meth:`pulls` returns constant vectors ``a`` and ``b``, and bounds of the remaining cost per unit of length.
-    As for every :class:`CostMap`, a call and :meth:`bounds` are about the whole cost per unit of length: a call
+    As for every :class:`CostMap`, a call and :meth:`bounds` are about the whole cost per unit of length. A call
     returns this cost in the most expensive direction, and :meth:`bounds` hold for all directions. The space's
     ``motion_cost`` must be the Euclidean length over all axes.
 

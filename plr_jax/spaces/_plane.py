@@ -120,8 +120,8 @@ class PlaneSpace(BodySpace):
 
     The state of boxes is exact for a point. For a disc of radius ``r``, chords replace arcs around corners of
     obstacles. So near a corner, a blocked box may be MIXED if a slightly smaller disc fits at one of its positions.
-    The radius of such a disc is smaller by at most the tolerance, plus the larger of ``0.005 * r`` and
-    ``0.0008 * (r * side**2) ** (1 / 3)``, where ``side`` is the longer side of free space.
+    Its radius is smaller by at most the tolerance plus the larger of ``0.005 * r`` and
+    ``0.0008 * (r * side**2) ** (1 / 3)``. Here ``side`` is the longer side of the free space.
     """
 
     robot: Robot = field(default_factory=PointRobot)

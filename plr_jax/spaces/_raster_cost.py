@@ -179,13 +179,17 @@ class RasterCost:
         """Return a cost map with higher costs around lethal cells, as Nav2's inflation layer computes them.
 
         Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
-        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. A cell is blocked if its
-        center is at most ``inscribed_radius`` from the center of a lethal cell, even if ``inflation_radius`` is
-        smaller. So a point moves in the result's :meth:`space` where a disc of this radius moves in the map. If the
-        distance to a lethal cell is at most ``inflation_radius``, rounded up as in Nav2 to a multiple of the cells'
-        shortest side, the cost is at least ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Radii
-        and distances are in units of the bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded
-        to bytes. ``ValueError`` if an argument is negative or not finite. See
+        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. Let ``distance`` be the
+        distance from a cell's center to the center of the nearest lethal cell.
+
+        - If ``distance`` is at most ``inscribed_radius``, the cell is blocked, even if ``inflation_radius`` is
+          smaller. So a point moves in the result's :meth:`space` where a disc of this radius moves in the map.
+        - If ``distance`` is at most ``inflation_radius``, the cost is at least
+          ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. As in Nav2, ``inflation_radius`` is
+          first rounded up to a multiple of the shortest side of a cell.
+
+        Radii and distances are in units of the bounds. Costs become factors as in :meth:`from_costmap`, but are not
+        rounded to bytes. ``ValueError`` if an argument is negative or not finite. See
         https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)
@@ -245,8 +249,8 @@ class RasterCost:
         """Return bounds of the factor of the motion cost over closed boxes, which may extend beyond the raster.
 
         With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
-        are exact if the box meets at most three intervals between cell centers along each axis; over larger boxes
-        they are the extremes over all cells whose centers surround the box. Bounds are rounded outward; extremes
+        are exact if the box meets at most three intervals between cell centers along each axis. Over larger boxes,
+        they are the extremes over all cells whose centers surround the box. Bounds are rounded outward, and extremes
         over many cells to float32. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
         """
         lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)

@@ -25,13 +25,14 @@ class VoxelSpace:
     """The configuration space of a point or ball among voxels; the cost of a motion is its length.
 
     With default bounds, voxel ``[i, j, k]`` fills ``[i, i + 1] x [j, j + 1] x [k, k + 1]``: array axes are coordinate
-    axes, in order. (In :class:`Workspace.from_mask`, as in pictures, rows are ``y``.) A position is free if the robot
-    overlaps neither blocked voxels nor the outside of the bounds; it may touch them. A point cannot pass between two
-    blocked voxels that share only an edge or corner: free voxels are connected through faces, as in the plane.
+    axes, in order. (In :meth:`Workspace.from_mask`, as in pictures, rows are ``y``.)
 
-    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``, and a box that is
-    blocked for a ball may be MIXED if no single voxel is too near to all of it. ``ValueError`` if an argument is
-    invalid, no voxel is free, or voxels are too small for the precision of coordinates.
+    A position is free if the robot overlaps neither blocked voxels nor the outside of the bounds; it may touch both.
+    A point cannot pass between two blocked voxels that share only an edge or corner: free voxels are connected
+    through faces. For a point, all answers are exact. A ball may come nearer to blocked voxels than its radius, by
+    the ``tolerance``. A box of positions that is blocked for a ball may be MIXED if no single blocked voxel is too
+    near to all of it. ``ValueError`` is raised if an argument is invalid, no voxel is free, or voxels are too small
+    for the precision of coordinates.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.

@@ -94,11 +94,13 @@ def grid_distance(
         field = plr_jax.grid_distance(free, goal)
         field(x)  # distances (n,) to the goal from points x, (n, 2)
 
-    Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
-    ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers
-    ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked. A point on a boundary
-    between cells counts as free if one of them is. The center of cell ``[i, j]`` is ``(j + 0.5, i + 0.5)``; integer
-    points are corners of cells, and give a ``UserWarning``. Invalid arguments raise ``ValueError``, also in tracing.
+    Maps and goals may be created inside ``jax.jit`` and batched by ``jax.vmap``. Any-angle distances have gradients
+    with respect to points and goal; for ``moves`` of 4 or 8, gradients are 0.
+
+    Cell ``[i, j]`` covers ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked.
+    A point on a boundary between cells counts as free if one of the cells is free. The center of cell ``[i, j]`` is
+    ``(j + 0.5, i + 0.5)``. Integer points are corners of cells, and give a ``UserWarning``. Invalid arguments raise
+    ``ValueError``, also in tracing.
 
     If the agent moves between neighboring cells, ``moves=4`` or ``moves=8`` is several times faster than any-angle
     paths. If the agent stands on cell centers, compute ``field.cells`` once and index ``cells[row, column]``. This is
@@ -107,10 +109,13 @@ def grid_distance(
     Args:
         free: Which cells are free, booleans ``(h, w)``.
         goal: Goal ``(x, y)``, ``(2,)``. None: the result is a :class:`GridDistances`, of pairs of points.
-        moves: Kind of paths. ``"any-angle"``: all paths outside blocked cells; they may touch walls, but not pass
-            between two blocked cells that share only a corner. These are the distances of ``VisibilityGraph`` in
-            ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells that share a side, from the point's
-            cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
+        moves: Kind of paths.
+
+            - ``"any-angle"``: all paths outside blocked cells. They may touch walls, but not pass between two blocked
+              cells that share only a corner. Distances are those of ``VisibilityGraph`` in
+              ``Workspace.from_mask(free, tolerance=0)``.
+            - 4: steps between cells that share a side, from the point's cell to the goal's cell.
+            - 8: also diagonal steps, of length sqrt(2), if both cells beside the step are free.
         max_corners: For any-angle paths only: the largest number of convex corners of blocked cells, where paths can
             bend. Maps with more corners give NaN, and ``is_complete`` is false. Time and memory grow with the square
             of this number; without a goal, time grows with its cube. It is at most 4,096. Default: the number of

@@ -252,9 +252,9 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
     """Return the distance of each corner to the goal, along straight segments between corners.
 
-    ``lengths[i, j]`` is the length of the segment between corners ``i`` and ``j``, and ``straight[i]`` the length of
-    the segment between corner ``i`` and the goal; ``inf`` if the segment is not free. The gradient with respect to
-    ``lengths`` is 0, since lengths between corners depend on the map alone.
+    ``lengths[i, j]`` is the length of the segment between corners ``i`` and ``j``. ``straight[i]`` is the length of
+    the segment between corner ``i`` and the goal. Both are ``inf`` if the segment is not free. The gradient with
+    respect to ``lengths`` is 0, since lengths between corners depend on the map alone.
     """
 
     # The Bellman-Ford algorithm, for all corners at once: a round extends paths by one corner.
