@@ -77,7 +77,7 @@ class NamedMap:
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
 
-        If no goals were given, these are the goal of a scene of one robot, or None.
+        If :attr:`goals` is None, these are the goal of a scene with one robot, or None for other maps.
         """
         from plr_jax import scenes
 

@@ -241,9 +241,10 @@ class Roadmap:
         return oracle
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal in the workspace.
+        """Return tests that tell which boxes of a domain hold free points with a path to the goal, or without one.
 
-        The result is None if all free points have a path, or the roadmap was not built from a workspace.
+        Paths are those of the workspace, not of the roadmap. The result is None if all free points have a path, or
+        the roadmap was not built from a workspace.
         """
         return None if self._workspace is None else self._workspace.reach(self.goal[None], domain)
 

@@ -215,7 +215,10 @@ class VisibilityGraph:
         return self._first_turns(self._points("x", x))[0]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal, None if all have a path."""
+        """Return tests that tell which boxes of a domain hold free points with a path to the goal, or without one.
+
+        The result is None if all free points have a path.
+        """
         return self.workspace.reach(self.goal[None], domain)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:

@@ -25,7 +25,7 @@ Numbers: TypeAlias = Float[np.ndarray, " n"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class ClearanceSpace:
-    """The configuration space of any robot whose signed distance to obstacles, its *clearance*, is a known function.
+    """The configuration space of any robot whose clearance, its signed distance to obstacles, is a known function.
 
     The robot may be an arm, a drone, or several bodies. In a box of configurations, the clearance differs from the
     clearance at the center by at most the sum over axes of ``lipschitz`` times the half width. So one evaluation can

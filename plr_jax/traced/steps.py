@@ -59,8 +59,9 @@ def neighbors_of(words: Grids) -> Grids:
 def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
     """Return rows and columns of the up to four cells that contain each point, and whether the grid contains it.
 
-    The four cells are lower left, lower right, upper left and upper right; some are equal unless the point is a
-    corner of cells. A point outside the grid is moved to the nearest point of the grid.
+    Rows and columns are arrays ``(4, ...)``, of the cells lower left, lower right, upper left and upper right. Some
+    of the cells are equal, unless the point is a corner of cells. A point outside the grid is moved to the nearest
+    point of the grid.
     """
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
