@@ -1,5 +1,8 @@
 """Distance functions over maps and configuration spaces, compressed into kilobytes and queried in batches under JAX.
 
+The compressed function is a PLR (piecewise linear regression): a function with simple pieces, one per box of a
+partition of the map.
+
 ```python
 import plr_jax
 
@@ -7,7 +10,7 @@ workspace = plr_jax.Workspace(((0, 0), (10, 6)), obstacles=[[(3, 0), (4, 0), (4,
 oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))  # computes exact distances to the goal
 plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)  # compresses them
 
-x = workspace.sample_free(1000, seed=0)  # points (n, 2), one a row
+x = workspace.sample_free(1000, seed=0)  # points (n, 2), one per row
 distance = plr(x)  # (n,); also under jit, vmap and grad
 lower, upper = plr.bounds(x)  # proven
 print(plr_jax.metrics.error_map(plr, oracle, x))
@@ -18,7 +21,7 @@ plr_jax.save(plr, "field.plr")
 
 - `plr_jax.guides.distance_function`: maps, oracles, leaves, files. `construct`, `certify`, `save`, `load`.
 - `plr_jax.guides.any_two_points`: `construct_pairs`, `construct_grid_pairs`, `construct_many`, `stack`.
-- `plr_jax.guides.inside_jit`: `grid_distance`, on maps that are drawn inside `jit`.
+- `plr_jax.guides.inside_jit`: `grid_distance`, on maps that are created inside `jit`.
 - `plr_jax.guides.changing_map`: `Workspace.with_obstacles`, `VisibilityGraph.with_workspace`.
 - `plr_jax.guides.costs_and_volumes`: `solve_eikonal`; cost maps, voxels, bodies, arms.
 - `plr_jax.guides.cost_distance`: `cost_distance` over rasters, for GIS.
@@ -28,7 +31,8 @@ plr_jax.save(plr, "field.plr")
 - `plr_jax.guides.command_line`: the command `plr-jax`.
 
 `plr_jax.guides` itself lists how every class is called. `metrics` measures errors, `plot` draws, `scenes` has
-ready-made maps and readers of files. `plr` and `pairs` hold the rest about PLRs and pairs.
+ready-made maps and readers of files. `plr` and `pairs` hold further classes and functions for PLRs, and for
+distances between any two points.
 
 # Which axis is which
 

@@ -1,7 +1,7 @@
 """Checks of the arguments of public functions, and small helpers for NumPy arrays: ragged arrays, padding, hashes.
 
-The ``as_...`` functions return a checked value, or raise a ``ValueError`` that calls the value by ``name``. NaN and
-infinity are accepted unless stated otherwise. Float64 arrays are returned without a copy.
+An ``as_...`` function checks a value and returns it. For a bad value, it raises a ``ValueError`` that calls the value
+``name``. NaN and infinity are accepted unless stated otherwise. Float64 arrays are returned without a copy.
 """
 
 import math
@@ -18,12 +18,12 @@ from plr_jax._types import ArrayLike
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
-_LONGEST = 200  # characters of a value in an error
+_LONGEST = 200  # most characters of a value in an error
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)  # of SplitMix64
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """Check points, one a row, with ``dim`` coordinates each; None stands for any number of at least 1."""
+    """Check points, one per row, and return them as float64; ``dim`` None accepts any number of coordinates."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +34,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
-    """Check one point with ``dim`` coordinates; None stands for any number of at least 1."""
+    """Check one point, and return it as float64; ``dim`` None accepts any number of coordinates, at least 1."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -52,12 +52,15 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def is_traced(value: object) -> bool:
-    """Return whether a value is a tracer of JAX, or JAX's error that a tracer is no array, without importing JAX."""
+    """Return whether a value is a JAX tracer, or JAX's error for a tracer used as an array. JAX is not imported."""
     return "Tracer" in type(value).__name__
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """Check an array of real numbers, none masked, and return it as float64; ``expected`` describes it in errors."""
+    """Check an array of real numbers, none masked, and return it as float64.
+
+    ``expected`` describes the array in errors.
+    """
     try:
         numbers = np.asarray(value)
         if value is None or numbers.dtype.kind in "cUSMm":  # NumPy would convert strings, dates and complex numbers
@@ -73,10 +76,10 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 def as_cells(
     expected: str, value: ArrayLike, fits: Callable[[tuple[int, ...]], bool], hint: str = ""
 ) -> Bool[np.ndarray, "..."]:
-    """Copy booleans, one for each cell of a grid, in C order.
+    """Check booleans, one for each cell of a grid, and return a copy in C order.
 
-    ``fits`` tests the shape of the grid. An error begins with ``expected``, and ends with ``hint`` if the array does
-    not fit.
+    ``fits`` tests the shape of the grid. An error begins with ``expected``, and ends with ``hint`` if the array has
+    another type or shape.
     """
     try:
         cells = np.array(value, order="C")
@@ -99,7 +102,7 @@ def _if_traced(value: object) -> str:
 
 
 def is_single(value: ArrayLike) -> bool:
-    """Return whether numbers come as 32-bit floats, as those of JAX do by default, none masked."""
+    """Return whether a value is an array of 32-bit floats, JAX's default; False for a masked array."""
     try:
         return np.asarray(value).dtype == np.float32 and not np.ma.isMaskedArray(value)
     except (TypeError, ValueError):
@@ -109,7 +112,7 @@ def is_single(value: ArrayLike) -> bool:
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
     """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN.
 
-    Floats of 32 bits stay so; all other real numbers, also the narrow floats of JAX, become 64 bits wide.
+    Arrays of 32-bit floats keep their type. All other real numbers, also the narrow floats of JAX, become float64.
     """
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
@@ -133,7 +136,7 @@ def filled_with_inf(value: ArrayLike) -> ArrayLike:
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
-    """Check the answer of a function of ``n`` points: one number for each; masked entries become ``inf``."""
+    """Check that a function returned one number for each of ``n`` points; masked entries become ``inf``."""
     values = as_numbers(f"{name}'s answer", filled_with_inf(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         called = f"it is called with a batch of points ({n}, dim)"
@@ -142,7 +145,7 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
-    """Check the answer of a test of ``n`` points: one boolean for each, none masked."""
+    """Check that a test returned one boolean for each of ``n`` points, none masked."""
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
@@ -152,7 +155,7 @@ def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
-    """Check the answer of a distance function as :func:`as_values` does; NaN and ``-inf`` are rejected too."""
+    """Check the distances that a function returned for points ``x``: like :func:`as_values`, without NaN or -inf."""
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
     if bad.size:
@@ -169,7 +172,7 @@ def require_integer(name: str, value: object, least: int) -> None:
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
     """Check a number, which must satisfy ``in_range``; ``expected`` describes it in errors.
 
-    What is no number, or an integer too large for a float, counts as NaN: ``in_range(nan)`` must be False.
+    A value that is no number, or an integer too large for a float, is tested as NaN: ``in_range(nan)`` must be False.
     """
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
@@ -188,19 +191,22 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the size to which to pad ``n`` rows: the least of ``sizes`` that is enough, else a power of two."""
+    """Return the size to which to pad ``n`` rows.
+
+    It is the first of ``sizes`` that is at least ``n``; if there is none, the next power of two.
+    """
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def size_in_eighths(n: int) -> int:
-    """Return the size to which to pad ``n`` rows: one of few sizes, at most an eighth above ``n``."""
-    # The next power of two is below 2 * n, so a sixteenth of it is below n / 8.
+    """Return the size to which to pad ``n`` rows, at most an eighth above ``n``: one of 8 sizes per power of two."""
+    # The next power of two, P, is below 2 * n, so P / 16 is below n / 8. Sizes are multiples of P / 16.
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 
 
 def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
-    """Copy rows, and append rows of ``fill`` up to ``size`` rows."""
+    """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)] = rows
     result[len(rows) :] = fill
@@ -214,7 +220,7 @@ def as_bool(name: str, value: object) -> bool:
 
 
 def ragged_indices(counts: Int[np.ndarray, " runs"]) -> tuple[Int[np.ndarray, " items"], Int[np.ndarray, " items"]]:
-    """Return, for consecutive runs of ``counts`` items, the run of each item, and the item's index in this run."""
+    """Return the run of each item, and the item's index in the run, for consecutive runs of ``counts`` items each."""
     # Counts [2, 0, 3] give the runs [0, 0, 2, 2, 2] and the indices [0, 1, 0, 1, 2].
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -226,7 +232,7 @@ def concatenated(objects: Sequence[object], *names: str) -> list[Shaped[np.ndarr
 
 
 def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
-    """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
+    """Split items into consecutive slices, such that the ``counts`` of the items of a slice sum to about ``most``."""
     # A slice ends before each item at which the sum of counts reaches or passes a multiple of `most`.
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
@@ -244,14 +250,16 @@ def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " 
 def take_ragged(
     first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " chosen"]
 ) -> tuple[Int[np.ndarray, " members"], Int[np.ndarray, " members"]]:
-    """Return the indices of all items in the given ``runs``, and for each item the index in ``runs`` of its run."""
-    # Run `i` has the items from `first[i]` up to `first[i + 1]`.
+    """Return the indices of all items of the given runs, and for each item the position of its run in ``runs``.
+
+    Run ``i`` has the items from ``first[i]`` up to, not including, ``first[i + 1]``.
+    """
     run, place = ragged_indices(first[runs + 1] - first[runs])
     return first[runs][run] + place, run
 
 
 def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n"]:
-    """Sum each row from left to right; ``np.sum`` adds in blocks, so that different CPUs round differently."""
+    """Sum each row from left to right, so that all CPUs round equally; ``np.sum`` adds in CPU-dependent blocks."""
     total = terms[:, 0].copy()
     for column in terms.T[1:]:
         total += column
@@ -259,7 +267,10 @@ def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n
 
 
 def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "n ..."]:
-    """Return ``a @ b`` row by row: for large products, threads of BLAS would take more CPU time than the product."""
+    """Return ``a @ b``, computed row by row.
+
+    For a large product, BLAS would start threads that take more CPU time than the product.
+    """
     return np.matmul(a[:, None], b)[:, 0]
 
 
@@ -295,7 +306,10 @@ _MUTATORS = ("with_", "add", "insert", "move", "remove", "replace", "set_", "upd
 
 
 def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
-    """Return the error of a missing attribute, with advice if its name is like that of a mutating method."""
+    """Return the ``AttributeError`` of a missing attribute ``name``.
+
+    If the name begins like a method that changes an object, such as ``add``, the message ends with ``when_changed``.
+    """
     advice = f" {when_changed}" if name.startswith(_MUTATORS) else ""
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
 
@@ -315,6 +329,6 @@ def shortened(value: object) -> str:
 
 
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
-    """Raise a ``TimeoutError`` if less than ``seconds`` are left to a deadline of ``time.perf_counter``."""
+    """Raise a ``TimeoutError`` if fewer than ``seconds`` remain to a deadline on the clock ``time.perf_counter``."""
     if time.perf_counter() + seconds > deadline:
         raise TimeoutError(f"The deadline passed before {purpose}.")

@@ -1,4 +1,4 @@
-"""Pytrees that ``jax.export`` can serialize; running a compiled function on a large batch on all cores."""
+"""Pytrees that ``jax.export`` can serialize, and evaluation of compiled functions on large batches on all cores."""
 
 import json
 import os
@@ -19,20 +19,20 @@ from plr_jax._arrays import is_traced, padded
 
 Class = TypeVar("Class", bound=type)
 Columns = TypeVar("Columns")  # an array, or a tuple or another pytree of arrays
-_PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
+_PARTS = 8  # a batch of more than this many small parts is divided into large parts instead
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def pytree(of: Class) -> Class:
-    """Make a class a frozen dataclass and a pytree that ``jax.export`` can serialize; a decorator."""
+    """A class decorator: make a class a frozen dataclass, and a pytree that ``jax.export`` can serialize."""
     return serializable(jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(of)))
 
 
 def serializable(of: Class, default: Any = None, object_hook: Any = None) -> Class:
-    """Let ``jax.export`` serialize functions of a registered pytree; a decorator.
+    """A class decorator: let ``jax.export`` serialize functions whose arguments are of this registered pytree class.
 
-    Static fields become JSON, so that no file can run code. ``default`` and ``object_hook``, as in ``json``, are
-    functions that encode and decode values that JSON does not have.
+    Static fields are stored as JSON, so that loading a file cannot run code. ``default`` and ``object_hook``, as in
+    ``json``, are functions that encode and decode values that JSON does not have.
     """
     return export.register_pytree_node_serialization(
         of,
@@ -56,7 +56,10 @@ def has_doubles() -> bool:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Return whether no array is traced or committed to a device, and all are in the memory of one CPU."""
+    """Return whether no array is traced or committed to a device, and all JAX arrays are on the same CPU.
+
+    If none is a JAX array, JAX's default device must be a CPU.
+    """
     if any(is_traced(array) or getattr(array, "committed", False) for array in arrays):
         return False
     devices = {device for array in arrays if isinstance(array, jax.Array) for device in array.devices()}
@@ -68,8 +71,10 @@ def answered_in_parts(
 ) -> tuple[np.ndarray, ...]:
     """Apply a compiled function to the rows of arrays, ``(*batch, width)``, in equally large parts on all cores.
 
-    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``. It is compiled for each ``n``, so
-    all parts of a batch have one of two ``sizes`` (numbers of rows); zeros pad the last part.
+    The leading axes of the arrays broadcast to ``batch``, the shape of each result. ``answer`` maps ``n`` rows of
+    each array to a tuple of arrays ``(n,)``. It is compiled once for each ``n``. To compile it at most twice, every
+    part has the first of the two ``sizes`` (numbers of rows), or for large batches the second; zeros pad the last
+    part.
     """
     batch = np.broadcast_shapes(*(column.shape[:-1] for column in rows))
     count = prod(batch)

@@ -26,7 +26,7 @@ _LARGEST_INTEGER = int(np.finfo(np.float64).max)
 
 
 def file_path(path: object) -> Path:
-    """Return the name of a file as a path; other types, such as bytes or a file descriptor, are rejected."""
+    """Return the name of a file as a ``Path``; bytes, file descriptors and other types raise ``ValueError``."""
     if not isinstance(path, str | os.PathLike):
         got = f"{shortened(path)}."
         if isinstance(path, bytes | bytearray | memoryview):
@@ -37,7 +37,7 @@ def file_path(path: object) -> Path:
 
 @contextmanager
 def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield the path of a file, and put it before the message of any ``ValueError`` that is raised inside."""
+    """Yield the path of a file; a ``ValueError`` raised in the ``with`` block gets the path before its message."""
     path = Path(path)
     try:
         yield path
@@ -97,7 +97,7 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
-    """Raise a ``ValueError`` unless a decoded file is of a kind, of a known version, and has all keys."""
+    """Raise a ``ValueError`` unless a decoded file has the given kind, at most the given version, and all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     stated = document.get("version")
@@ -115,7 +115,10 @@ def format_name(kind: str) -> str:
 
 
 def _require_plain(events: Iterator[Any]) -> None:
-    """Reject YAML with deep nesting, aliases, tags or long unquoted words, which could exhaust the parser."""
+    """Raise a ``ValueError`` for YAML with deep nesting, aliases, tags or long unquoted words.
+
+    These could exhaust the memory or the time of the parser. ``events`` are those of ``yaml.parse``.
+    """
     import yaml
 
     nested = 0
@@ -130,7 +133,7 @@ def _require_plain(events: Iterator[Any]) -> None:
 
 
 def _require_limits(value: Any) -> None:
-    """Reject decoded values with deep nesting, or with integers that are too large for floats."""
+    """Raise a ``ValueError`` for decoded values with deep nesting, or with integers that are too large for floats."""
     # Level by level, so that deep nesting cannot overflow the stack.
     level = [value]
     nested = 0
@@ -149,7 +152,7 @@ def _require_shallow(nested: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a regular file so that it is complete or unchanged, even after a crash."""
+    """Write a file so that even after a crash it is complete or unchanged; devices and pipes are written directly."""
     # 1. Write to a device or pipe directly: it must not be replaced.
     mode = None
     with suppress(FileNotFoundError):

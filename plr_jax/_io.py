@@ -23,7 +23,9 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 
 
 def load(path: str | os.PathLike) -> Any:
-    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote; its answers are equal, bit for bit.
+    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
+
+    The loaded object gives the same answers as the saved object, bit for bit.
 
     The first query of a PairPLR builds large lookup tables, which takes long for thousands of corners.
     Raises ``ValueError`` if the file is truncated, corrupt, or of another kind or format version, and ``OSError`` if

@@ -32,8 +32,8 @@ class Problem:
 
     Raises:
         ValueError: If there is no robot, an argument has a wrong shape or value, or a start or goal is outside the
-            bounds or in collision. Also if obstacles separate a goal from its start even for the robot's inscribed
-            disc; so a problem that passes may still be impossible.
+            bounds or in collision. Also if obstacles leave no path from a start to its goal even for the robot's
+            inscribed disc. A problem that passes this test may still be impossible.
     """
 
     workspace: Workspace
@@ -94,7 +94,10 @@ def motion_costs(
 def straight_costs(
     q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
 ) -> Float[np.ndarray, "*batch"]:
-    """Return costs of straight motions: lengths plus ``rotation_weight`` (of all or each robot) times the angles."""
+    """Return the costs of straight motions: lengths plus ``rotation_weight`` times the turns in radians.
+
+    ``rotation_weight`` is one number, or one per robot. Turns go the shorter way.
+    """
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if q0.shape[-1] == 3:
         cost = cost + rotation_weight * smaller_angle(q0[..., 2], q1[..., 2])
@@ -110,13 +113,13 @@ def path_cost(problem: Problem, path: ArrayLike) -> float:
 def makespan(problem: Problem, path: ArrayLike) -> float:
     """Return a path's duration at unit speed: the sum of each motion's largest cost (see :func:`path_cost`).
 
-    If ``rotation_weight`` is 0, turns cost nothing. They then last as long as with the default ``rotation_weight``.
+    If ``rotation_weight`` is 0, turns cost nothing but still take time: as much as with the default weight.
     """
     return float(row_times(problem, path)[-1])
 
 
 def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, " steps"]:
-    """Return the time at which a path reaches each row, from 0 to the :func:`makespan`."""
+    """Return the time at which the robots reach each row of a path, ``(steps,)``, from 0 to the :func:`makespan`."""
     path = as_path(problem, path)
     weights = _rotation_weights(problem.robots, problem.rotation_weight or None)
     return np.append(0.0, np.cumsum(straight_costs(path[:-1], path[1:], weights).max(axis=1)))
@@ -131,7 +134,10 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
-    """Check a path, and return it as an array; of 32-bit floats, its ends become exact starts and goals."""
+    """Check a path, and return it as a float64 array ``(steps, robots, dof)``.
+
+    If the path has 32-bit floats, ends that equal the problem's starts and goals up to rounding are replaced by them.
+    """
     require_problem(problem, path)
     if path is None:
         raise ValueError("A path must be an array, got None: solution.path is None, see solution.status.")
@@ -149,7 +155,10 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
 
 
 def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
-    """Move a robot at a pose of 32-bit numbers, ``(dof,)``, away from walls that it overlaps only by rounding."""
+    """Return a robot's pose ``(dof,)``, moved off walls that it overlaps only by rounding to 32-bit floats.
+
+    A pose of another type is returned unchanged.
+    """
     if not is_single(q):
         return q
     position, heading = np.split(np.asarray(q), [2])
@@ -169,7 +178,7 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
 def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.ndarray, "robots dof"]:
     """Check starts or goals, and return them as a read-only array.
 
-    Configurations in 32-bit floats that rounding moved into an obstacle are moved back.
+    Configurations of 32-bit floats that lie in an obstacle only by rounding are moved out of it.
     """
     robots, dof = problem.robots, team_dof(problem.robots)
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
@@ -207,7 +216,11 @@ def _require_free(problem: Problem, name: str) -> None:
 
 
 def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
-    """Return how far a robot is inside the bounds, its clearance of the obstacle that it overlaps most, and which."""
+    """Return a robot's distance to the bounds, its least clearance to an obstacle, and the obstacle's index.
+
+    The distance to the bounds is negative if the robot leaves them. Only obstacles that the robot touches or overlaps
+    are measured, so the clearance is at most 0. Without such obstacles, the clearance is ``inf`` and the index -1.
+    """
     core, radius, obstacles = footprint(robot, q), robot.rounding, np.array(workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)
     left, bottom, right, top = shapely.bounds(core)
@@ -233,7 +246,7 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
 
 
 def _require_connected(problem: Problem) -> None:
-    """Reject goals that obstacles cut off from their starts even for the robot's inscribed disc."""
+    """Raise a ``ValueError`` if obstacles leave no path from a start to its goal for the robot's inscribed disc."""
     workspace, parts_of = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
@@ -252,7 +265,11 @@ def _require_connected(problem: Problem) -> None:
 
 
 def separation(a: Any, b: Any) -> float:
-    """Return the distance between Shapely geometries; if they overlap, minus a depth (approximate for areas)."""
+    """Return the distance between two Shapely geometries; if they overlap, minus the depth of the overlap.
+
+    The depth of a point is its distance to the other boundary. Other depths are estimated from the overlap's area and
+    perimeter.
+    """
     if (distance := shapely.distance(a, b)) > 0 or a.geom_type == b.geom_type == "Point":
         return distance
     if "Point" in (a.geom_type, b.geom_type):

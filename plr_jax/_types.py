@@ -1,6 +1,7 @@
-"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions.
+"""Types that oracles, PLRs and planners share: aliases of arrays, and protocols of distance functions.
 
-Classes that have the members of a protocol, among others, and functions that ask for it::
+The table lists the protocols, examples of classes that satisfy each, and examples of public callers that check it.
+A PLR (piecewise linear regression) is a distance function compressed into few bytes::
 
     DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
     FunctionOfBox         PLR                               plot
@@ -14,9 +15,9 @@ Classes that have the members of a protocol, among others, and functions that as
     SymmetricFn           Euclidean, ReedsShepp             construct
     HeuristicFn           SumOverRobots                     bl_plan
 
-Tests by ``isinstance`` see only whether an object has members of these names. So ``NearestGoal``, which answers for
-cells only if all its functions are VisibilityGraphs of one map, sets ``cell_sources``, ``reach`` and ``goals`` only
-in this case.
+A test by ``isinstance`` sees only whether an object has members of the protocol's names. ``NearestGoal`` can answer
+for cells only if all its functions are VisibilityGraphs of one map. So only then its instances have the attributes
+``cell_sources``, ``reach`` and ``goals``.
 """
 
 from collections.abc import Callable, Sequence
@@ -67,7 +68,10 @@ class FunctionOfBox(_PointFn, Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function, such as a PLR, defined in boxes; ``leaf_boxes`` has their lower and upper corners, ``(n, dim)``."""
+    """A function, such as a PLR, that is defined box by box.
+
+    ``leaf_boxes`` is a pair of arrays, ``(n, dim)`` each: the lower and the upper corner of each of the ``n`` boxes.
+    """
 
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
@@ -78,13 +82,14 @@ class Sources:
     """The goal, and the points where shortest paths to it may turn.
 
     The shortest path from any point starts with a straight segment to one of these points, its *source*. If there are
-    several goals, they are the first sources, and all distances are those to the nearest goal.
+    several goals, they come first among the sources, and each distance is the distance to the nearest goal.
     """
 
     points: Float[np.ndarray, "sources dim"]
     distances: Float[np.ndarray, " sources"]  # to the goal; inf where it cannot be reached
     parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a goal and if unreachable
-    goals: Int[np.ndarray, "goals"] | None = None  # source of each goal, the first of equal ones; None: one goal, 0
+    # Index in `points` of each goal; equal goals share the first index. None: the only goal is point 0.
+    goals: Int[np.ndarray, "goals"] | None = None
 
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports
@@ -99,29 +104,30 @@ class CellwiseFn(_PointFn, Protocol):
 
 @runtime_checkable
 class FamilyFn(CellwiseFn, Protocol):
-    """A distance function that shares work with its *family*, functions to other goals on the same map."""
+    """A distance function that shares work with its *family*: the distance functions to other goals on the map."""
 
     @property
     def family(self) -> Any: ...  # the corners and what they see: one object for all members
     @property
     def sources(self) -> Sources: ...
 
-    # A free sample point in each box, and the corners that it sees, for any goal.
+    # Return a free sample point in each box, and the corners that it sees. Neither depends on the goal.
     def shared_samples(self, lo: Any, hi: Any, /) -> Any: ...
 
-    # By sample: the distance to the goal, and the index in `sources` of the first vertex of its path.
+    # Return, for each sample, its distance to the goal, and the index in `sources` of the first vertex of its path.
     def first_turns(self, samples: Any, /) -> Any: ...
 
-    # Convex pieces of free space in each box, and corners where paths from each may turn first, for any goal.
+    # Return the convex pieces of free space in each box, and the corners where paths from each piece may turn first.
+    # Neither depends on the goal.
     def shared_cells(self, lo: Any, hi: Any, /) -> Any: ...
 
-    # `cell_sources` of pairs i: the box of index box[i] in `shared`, and the function members[member[i]].
+    # Return `cell_sources` for pairs of a box and a function: box number `box[i]` of `shared`, `members[member[i]]`.
     def cells_of_members(self, shared: Any, members: Sequence[Any], box: Any, member: Any, /) -> CellSources: ...
 
 
 @runtime_checkable
 class NearestFn(CellwiseFn, Protocol):
-    """A distance function in the plane to the nearest of several goals, which tells the index of that goal."""
+    """A distance function in the plane to the nearest of several goals; ``which`` returns the goal's index."""
 
     @property
     def goals(self) -> Float[np.ndarray, "goals 2"]: ...
@@ -137,7 +143,10 @@ class ReachFn(_PointFn, Protocol):
 
 @runtime_checkable
 class StackableDistanceFn(_PointFn, Protocol):
-    """A distance function, such as a PLR, whose class can combine one function per robot into one for a team."""
+    """A distance function, such as a PLR, whose ``stack`` combines the functions of several robots, one per robot.
+
+    The result maps joint configurations to each robot's own distance.
+    """
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]: ...
@@ -145,7 +154,7 @@ class StackableDistanceFn(_PointFn, Protocol):
 
 @runtime_checkable
 class BoundingFn(_PointFn, Protocol):
-    """A distance function or heuristic that states whether it is a proven lower bound of the true value."""
+    """A distance function or heuristic that states whether it is a proven lower bound of the true cost-to-go."""
 
     @property
     def is_lower_bound(self) -> bool: ...
@@ -176,8 +185,8 @@ class SymmetricFn(_PointFn, Protocol):
 class HeuristicFn(Protocol):
     """An estimate of the cost-to-go of joint configurations: a sum of one term per robot.
 
-    It is never NaN. If it is ``inf`` or masked, there is no estimate. Planners evaluate each term only once per
-    configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
+    The estimate is never NaN; ``inf`` or a masked entry means that there is no estimate. Planners evaluate each term
+    only once per configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
     def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]: ...

@@ -1,9 +1,11 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Both share the boundary of free space, and the direction in which a robot turns. Here, bodies are Shapely geometries.
-In a motion without turns, a robot sweeps a convex hull, whose distance is exact. Other motions are halved in time:
-the clearance in the middle of an interval, less the distance that the bodies move from there, bounds it in the
-interval from below. A point must stay in the same part of the free space beside its path, which thin walls divide.
+It shares only the boundary of free space, and the direction in which a robot turns. Bodies are Shapely geometries.
+
+In a motion without turns, a robot sweeps a convex hull, whose distance to obstacles is exact. Motions with turns are
+bisected in time: in an interval, the clearance is at least its value in the middle, minus the largest distance that
+the bodies move from there. Thin walls divide the free space beside the path of a point into parts; the point must
+not change from part to part.
 """
 
 from collections.abc import Sequence
@@ -35,8 +37,8 @@ class ValidationReport:
         valid: Whether the path solves the problem.
         cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
         clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
-            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. In a collision, about
-            minus the depth of the first overlap. Of a path that crosses a thin wall, that of the closest pair.
+            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. If the path has a
+            collision, the clearance is about minus the depth of the first overlap.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -58,9 +60,9 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     The path, joint configurations ``(steps, robots, dof)``, must be finite, begin at the starts and end at the goals
     exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles, the bounds and
     one another during all motions; touching is allowed. Motions are straight, at constant rates, and turn the shorter
-    way, or for half a turn counterclockwise. A point robot may be outside of free space by twice the workspace's
-    ``tolerance``, but may not cross a wall of ``Workspace.free_space``, however thin. A path of 32-bit floats may be
-    outside by their rounding too. An invalid path is reported and raises nothing. ``ValueError`` is raised
+    way; a half turn is counterclockwise. A point robot may be outside of free space by twice the workspace's
+    ``tolerance``, and if the path has 32-bit floats, also by their rounding. It may not cross a wall of
+    ``Workspace.free_space``, however thin. An invalid path is reported and raises nothing. ``ValueError`` is raised
     if ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
@@ -91,7 +93,10 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot with its path, and what it may hit: all that is not free space, or another robot with its path."""
+    """A pair whose clearance is measured: a robot on its path, and another robot on its path or the blocked region.
+
+    The blocked region is all that is not free space.
+    """
 
     who: tuple[int, ...]
     robot: Robot
@@ -102,7 +107,7 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        # The bodies' cores must keep the sum of the radii by which both are rounded.
+        # The cores of both bodies must stay this far apart: the sum of the radii by which the bodies are rounded.
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -120,12 +125,13 @@ class _Encounter:
         return distance - self.reach
 
     def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, " n"]:
-        # A thin wall across a body overlaps it by little area. But it meets the body eroded by the tolerance.
+        # Return which overlaps are deeper than the tolerance: those that meet the body eroded by the tolerance. An
+        # estimate from the area of the overlap would miss a thin wall across the body.
         return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
 
     def swept(self, motion: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        # Return the smallest clearance in motions without turns, in which the robot sweeps the convex hull of both
-        # its ends. With another robot, these are its ends relative to that robot.
+        # Return the smallest clearance in motions without turns. The robot sweeps the convex hull of its bodies at
+        # both ends of the motion. If there is another robot, the motion is taken relative to that robot.
         start = _corners(self.robot, self.path[motion])
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -188,7 +194,8 @@ class _Encounter:
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
-        # Halve intervals as in `smallest`, but keep those that may collide, up to the first whose middle does.
+        # Halve intervals as in `smallest`, but keep all intervals that may have a collision, up to the first interval
+        # that has a collision in its middle.
         motion, begin = self.first_collision, np.zeros(1)
         size = 1.0
         while True:
@@ -206,9 +213,9 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
-    """Return the pairs whose clearance must be measured.
+    """Return the pairs whose clearance must be measured, sorted by the indices of their robots.
 
-    Each robot is paired with the blocked space. Two robots are paired if they may collide, or may have the smallest
+    Each robot is paired with the blocked region. Two robots are paired if they may collide, or may have the smallest
     clearance of the whole path.
     """
     workspace, robots = problem.workspace, problem.robots
@@ -263,7 +270,7 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> 
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:
-    """Return the most that a robot's corners move by turning, in each motion."""
+    """Return, for each motion, an upper bound of the distance that a robot's corners move by turning."""
     turn = shorter_turn(path[:-1, 2], path[1:, 2]) if robot.dof == 3 else np.zeros(len(path) - 1)
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(turn)
 
@@ -283,7 +290,10 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
-    """Find the first passage of a point robot through a wall or a contact; return robot, time and message."""
+    """Find the first motion in which a point robot passes a wall, or a contact (a point where obstacles touch).
+
+    Return the robot's index, the index of the motion and a message, or None if there is no such motion.
+    """
     most = _tolerance(problem.workspace)
     points = [i for i, robot in enumerate(problem.robots) if robot.circumscribed_radius <= most]
     crossings = [(when, i) for i in points for when in _crossings(problem.workspace, path[:, i, :2], margin)[:1]]
@@ -295,10 +305,11 @@ def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, fl
 
 
 def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
-    """Return the motions at whose ends a point is on another side of a wall or contact than a free path allows.
+    """Return the indices of the motions in which a point passes a wall, or a contact (a point where obstacles touch).
 
-    Thin walls and contacts part the free space within ``margin`` of a motion. The point is in the part nearest to its
-    start. It may only change to parts that overlap this one where the next motion begins.
+    Walls, and contacts unless ``workspace.squeeze``, divide the free space within ``margin`` of a motion into parts.
+    A motion begins in the part nearest to its start, or in a part that overlaps the part where the motion before
+    ended. The point passes a wall or contact if its motion ends in another part.
     """
     # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
@@ -343,7 +354,7 @@ def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | No
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
     workspace = problem.workspace
     when = collision.first_moment
-    # The smallest clearance at some moments of the first motion that collides: about minus the overlap.
+    # Take the smallest clearance at some moments of the first motion that collides: about minus the overlap's depth.
     times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
     depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))

@@ -28,9 +28,9 @@ class ErrorReport:
         quantiles: For each share 0.5, 0.9, 0.99 and 0.999, the error that this share of the points does not exceed.
         max_at: Point of the largest error, ``(dim,)``.
         max_distance: Largest finite distance ``V``, as a scale for the errors.
-        num_unreachable: Points where ``V`` is infinite; the error is undefined there.
-        num_unanswered: Points where ``V`` is finite and ``L`` is not.
-        num_invented: Points where ``V`` is infinite and ``L`` is finite.
+        num_unreachable: Number of points where ``V`` is infinite; the error is undefined there.
+        num_unanswered: Number of points where ``V`` is finite and ``L`` is not.
+        num_invented: Number of points where ``V`` is infinite and ``L`` is finite.
     """
 
     max: float
@@ -101,8 +101,9 @@ def error_grid(
     Args:
         approximation: A PLR, or another function, as in :func:`error_map`.
         distance_fn: The exact distance function.
-        workspace: The workspace, or a configuration space whose free configurations count.
-        at: For more than two dimensions, the slice that the grid covers: coordinates by axis, for all axes but two.
+        workspace: The workspace, or a configuration space. Errors are computed only at its free points.
+        at: For more than two dimensions, the slice that the grid covers: a dict from axis to coordinate, for all axes
+            but two.
         resolution: Number of nearly square cells along the longer side of the bounds, at least 1.
 
     Returns:

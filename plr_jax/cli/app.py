@@ -14,7 +14,7 @@ from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
 
 
 class _Commands(TyperGroup):
-    """A group of commands that prints errors and warnings on one line each, and equal warnings only once."""
+    """The group of all commands; it prints each error or warning as one line, and equal warnings only once."""
 
     def invoke(self, ctx: Any) -> Any:
         shown: set[str] = set()
@@ -95,7 +95,7 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def fail_interrupted(message: str) -> NoReturn:
-    """Print a message on standard error, and end the command as Ctrl-C does."""
+    """Print a message on standard error, and end the command with the exit code of Ctrl-C, 130."""
     typer.echo(message, err=True)
     raise typer.Exit(INTERRUPTED_EXIT)
 

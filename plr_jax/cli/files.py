@@ -150,7 +150,11 @@ def plot(
 
 
 def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
-    """Return a PLR unchanged; of distances between any two points, return the distance to the single ``goal``."""
+    """Return the distance to one goal: the PLR itself, or for pairs the distance to the point ``goal``.
+
+    Pairs are a file's distances between any two points. ``ValueError`` is raised if a PLR comes with a goal, or pairs
+    without exactly one. ``file`` is named in the message.
+    """
     from plr_jax.plr import PLR
 
     if isinstance(content, PLR):

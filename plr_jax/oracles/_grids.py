@@ -27,7 +27,10 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """The free cells of a grid, with steps between neighbors; cell indices include a border of blocked cells."""
+    """The base class of shortest-path distances over the free cells of a grid, along steps between neighbors.
+
+    Flat cell indices count a border of blocked cells around the grid too.
+    """
 
     goal: Float[np.ndarray, " dim"] | None
     dim: ClassVar[int]
@@ -38,7 +41,10 @@ class _CellGraph(ABC):
     _to_goal: Distances  # distance of each cell to the goal
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """Return the graph with another goal in a free cell, ``(dim,)`` (else ``ValueError``), sharing the edges."""
+        """Return a graph with the same cells and steps, and another goal ``(dim,)``.
+
+        ``ValueError`` is raised if the goal is not in a free cell.
+        """
         _ = self._steps  # computed once, for all copies
         graph: Any = copy(self)
         graph.__dict__.pop("_to_goal", None)
@@ -54,7 +60,7 @@ class _CellGraph(ABC):
         return self._to_goal[self._cells_of("x", x)]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal, and which hold others."""
+        """Return tests that tell which boxes of a domain hold free points with a path to the goal, or without one."""
         inside = (slice(1, -1),) * self.dim
         free = self._padded[inside]
         reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]
@@ -143,7 +149,7 @@ class GridGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> csr_array:
-        # A graph of the padded grid: each edge once. Diagonal steps need both cells beside them free.
+        # Return the graph of the padded grid, with each edge once. Diagonal steps need both cells beside them free.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
         edges = []
@@ -232,7 +238,8 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, " voxels"]]:
-        # Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free.
+        # Return the changes of a voxel's three indices, one row per step; and for each voxel a number with a bit per
+        # step, which is set if the step is free.
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
@@ -260,7 +267,7 @@ class VoxelGraph(_CellGraph):
         distance[root] = 0.0
         buckets = {0: [root]}
         while buckets:
-            # 1. Take the voxels of the first bucket, but not those that have become nearer: their bucket is done.
+            # 1. Take the voxels of the first bucket, without voxels that have moved to an earlier bucket since then.
             first = min(buckets)
             voxels = np.concatenate(buckets.pop(first))
             voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == first])
@@ -288,12 +295,12 @@ class GridField:
     raster with row 0 at the top give ``values[::-1]``, for a table ``[x, y, ...]`` give ``values.T``.
 
     Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
-    the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is
-    that of the nearest point between centers. Invalid arguments raise ``ValueError``.
+    the weights of the others are scaled to sum to 1. A point beyond the outermost centers has the distance of the
+    nearest point between centers. Invalid arguments raise ``ValueError``.
 
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
-            reached. Kept as a read-only array, with ``inf`` for all of these.
+            reached. It is kept as a read-only array, with ``inf`` in place of NaN and masked entries.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
             Periodic axes wrap around.
         free: Whether each cell is free, booleans like ``values``, so that a PLR answers ``inf`` in free cells without
@@ -349,9 +356,9 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, " n"]]:
-        """Return distances at points in the box, and whether each point's cell has a value.
+        """Return the distance at each point of the box ``bounds``, and whether the point's own cell has a value.
 
-        If no cell around a point has a value, its distance is ``inf``.
+        The distance is ``inf`` if none of the cells around the point has a value.
         """
         from scipy import ndimage  # slow to import, and needed only here
 
@@ -374,13 +381,13 @@ class GridField:
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold cells with a distance, and free cells without."""
+        """Return tests that tell which boxes of a domain hold cells with a distance, or free cells without one."""
         reached = np.isfinite(self.values).T
         return reach_of_cells(reached, self.free.T & ~reached, self.bounds, domain)
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        # Four arrays. The first three have a layer of copied cells around the grid:
+        # Return four arrays. The first three have a layer of copied cells around the grid:
         #   padded    the distance, NaN in cells without a value
         #   filled    the distance, 0 in cells without a value
         #   weights   1 in cells with a value, else 0

@@ -75,7 +75,10 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """Draw free configurations uniformly; also return the estimated volume of free space, in units of the metric."""
+    """Draw free configurations uniformly, ``(num_samples, dim)``; also return the estimated volume of free space.
+
+    The volume is in weighted units, those of ``metric.widths``.
+    """
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
@@ -121,7 +124,7 @@ def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Boo
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether straight motions between free points are free, tested at points ``resolution`` apart."""
+    """Return whether straight motions between free points are free, tested at points at most ``resolution`` apart."""
     # Divide each motion into equal steps, and test the points between steps, coarsely first: a motion that was found
     # not to be free is tested no further.
     #
@@ -238,9 +241,10 @@ class Roadmap:
         return oracle
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points that the goal's part of a workspace does not contain.
+        """Return tests that tell which boxes of a domain hold free points with a path to the goal, or without one.
 
-        None if all free points are in that part, or the roadmap was not built from a workspace.
+        Paths are those of the workspace, not of the roadmap. The result is None if all free points have a path, or
+        the roadmap was not built from a workspace.
         """
         return None if self._workspace is None else self._workspace.reach(self.goal[None], domain)
 
@@ -306,7 +310,10 @@ class Roadmap:
         return self.domain.settled(x, self.is_free) if self._workspace is None else self._workspace.settled(x)
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Return distances to the goal, and first vertices, -1 if the point is not free or sees no vertex."""
+        """Return each point's distance to the goal, and the index of the first vertex on its path.
+
+        The index is -1 if the point is not free or sees no vertex.
+        """
         distance, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
@@ -317,9 +324,9 @@ class Roadmap:
         return distance, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Connect points to the roadmap: return distances to the goal, and first vertices, -1 for none.
+        """Return each point's distance to the goal through the roadmap, and the first vertex on its path (-1: none).
 
-        Only vertices count whose distance is above ``inner`` and at most ``outer``.
+        Only vertices whose distance from the point is above ``inner`` and at most ``outer`` are tried.
         """
         # 1. Count the vertices near each point, and choose how many points to handle together.
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices

@@ -1,7 +1,7 @@
 """Exact shortest-path distances among polygons in the plane, by a visibility graph.
 
-Vertices are numbered in two ways: corners from 0, as in ``CornerVisibility``, and vertices of the graph, with the
-goal first, so that corner ``i`` is vertex ``1 + i``.
+Two numberings occur. Corners are numbered from 0, as in ``CornerVisibility``. Vertices of the graph of one goal are
+the goal, vertex 0, and then the corners, so that corner ``i`` is vertex ``1 + i``.
 """
 
 import math
@@ -50,7 +50,7 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, two finite numbers in closed free space, else ``ValueError``.
-        shared: For internal use, like ``goal_view``.
+        shared, goal_view: For internal use.
     """
 
     workspace: Workspace
@@ -58,8 +58,8 @@ class VisibilityGraph:
     distances: Float[np.ndarray, " vertices"]
     _parents: Int[np.ndarray, " vertices"]  # next vertex on each shortest path to the goal, -1 for none
     _goal_table: VisibilityTable  # what the goal sees
-    _turns: TurnPoints  # corners at which shortest paths may turn first, and from where
-    _goal_edges: Int[np.ndarray, "edges 2"]  # of the graph: 0, and a vertex that the goal sees
+    _turns: TurnPoints  # corners at which shortest paths may turn first, and the cones from which such paths come
+    _goal_edges: Int[np.ndarray, "edges 2"]  # edges of the graph at the goal: 0, and a vertex that the goal sees
     _pairs: PairDistances
     is_lower_bound: ClassVar[bool] = True
     """True: no path of the robot's reference point is shorter."""
@@ -76,7 +76,8 @@ class VisibilityGraph:
     ):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
-        # 1. Find what corners see, and what the goal sees: a table, and corners, -1 for vertices that are none.
+        # 1. Find what the corners see, and what the goal sees: a visibility table, and the indices of the vertices in
+        #    sight as corners, -1 for vertices that are not corners.
         if shared is None:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
@@ -96,7 +97,7 @@ class VisibilityGraph:
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
-        """Return the oracle for another free goal ``(2,)`` (else ``ValueError``), sharing what corners see."""
+        """Return the oracle for another free goal ``(2,)`` (else ``ValueError``), sharing the graph of corners."""
         return VisibilityGraph(self.workspace, goal, shared=self._pairs)
 
     def with_workspace(self, workspace: Workspace) -> "VisibilityGraph":
@@ -133,7 +134,10 @@ class VisibilityGraph:
 
     @cached_property
     def graph(self) -> Graph:
-        """The goal (vertex 0) and corners; edges join pairs in sight if a shortest path can turn at one of them."""
+        """The graph of the goal (vertex 0) and the corners.
+
+        Edges join two vertices that see each other if a shortest path can turn at one of them.
+        """
         edges = np.concatenate([self._goal_edges, 1 + self.family.edges])
         return Graph(np.concatenate([self.goal[None], self.family.corners.points]), edges)
 
@@ -148,17 +152,23 @@ class VisibilityGraph:
 
     @cached_property
     def sources(self) -> Sources:
-        """The goal and corners, as numbered in ``graph``: each shortest path first goes straight to one of them."""
+        """The goal and the corners, numbered as in ``graph``: a shortest path first goes straight to one of them."""
         return _sources(self.graph, self.distances, self._parents)
 
     @cached_property
     def sight(self) -> Sight:
-        """The ``sources``, and data to test to which of them paths from a convex piece of free space may go first."""
+        """The ``sources`` (goal and corners), and data to test which come first on paths from a piece of free space.
+
+        A piece is a convex part of free space.
+        """
         table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's convex pieces of free space, and the corners or goal to which paths from each go first."""
+        """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first.
+
+        Sources are the corners and the goal, as numbered in ``sources``.
+        """
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), domain.lo[None], domain.hi[None])
 
     @property
@@ -167,18 +177,22 @@ class VisibilityGraph:
         return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return a free sample point in each box, and the corners that it sees, for oracles of any goal."""
+        """Return a free sample point in each box, and the corners that it sees. The result holds for all goals."""
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
         """Return each sample's distance to the goal, and the index in ``sources`` of the first vertex of its path.
 
-        :meth:`shared_samples` makes the samples, one a box. Without a sample or a path, these are ``inf`` and -1.
+        :meth:`shared_samples` makes the samples, at most one per box. For a box without a sample, or a sample without
+        a path, the distance is ``inf`` and the index -1.
         """
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return each box's convex pieces of free space, and the corners at which paths from each may turn first."""
+        """Return each box's convex pieces of free space, and for each piece the corners where paths may turn first.
+
+        The result holds for all goals.
+        """
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
@@ -201,7 +215,10 @@ class VisibilityGraph:
         return self._first_turns(self._points("x", x))[0]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal, None if all have a path."""
+        """Return tests that tell which boxes of a domain hold free points with a path to the goal, or without one.
+
+        The result is None if all free points have a path.
+        """
         return self.workspace.reach(self.goal[None], domain)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
@@ -263,7 +280,7 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        """Return the distance and the first vertex of one point, to the bit as `_first_turns_of_batch` does."""
+        """Return the distance and the first vertex of one point, equal in all bits to `_first_turns_of_batch`."""
         # Go straight to the goal, else to the visible vertex of the least |x - vertex| + distance(vertex).
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
@@ -300,8 +317,12 @@ class VisibilityGraph:
 
 
 def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
-    """Return a box's convex pieces of free space, and the goals or corners to which paths from each may go first."""
-    # 1. Let all oracles share corners: those that were not made of one another may number them in different ways.
+    """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first.
+
+    Sources are the goals of ``graphs``, which are oracles of one workspace, and the corners. Paths lead to the
+    nearest goal.
+    """
+    # 1. Let all oracles share corners. Oracles that were not made from one another may number them differently.
     first, count = graphs[0], len(graphs)
     graphs = [oracle if oracle.family is first.family else first.with_goal(oracle.goal) for oracle in graphs]
     corners, tables = first.family, [oracle._goal_table for oracle in graphs]

@@ -1,4 +1,4 @@
-"""Pictures of functions in the plane and of slices: surfaces, contours, cells and errors; and of workspaces."""
+"""Draw workspaces, and functions of the plane or of a slice: as a surface, as contours, as cells, or as errors."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -80,7 +80,10 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return polygons of a surface in space: each cell, or its free parts, at the heights of the leaf's values."""
+    """Return the polygons of a PLR's surface in space: each cell, or each free part of it, raised to its values.
+
+    Polygons with a value that is not finite are left out.
+    """
     # 1. List the polygons of each cell. A box of the partition gives one cell, so `leaf_of_box` is the cell's leaf.
     cells = _cells_of(plr, Slice.of(plr.domain, None))
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
@@ -146,8 +149,8 @@ def plot_contours(
     Args:
         plr: The PLR. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
-        workspace: Its obstacles are drawn on top, over meaningless values. With a ``goal``, free regions that are
-            disconnected from the goal are gray too.
+        workspace: The workspace whose obstacles are drawn on top; values inside obstacles have no meaning. With a
+            ``goal``, free regions that are disconnected from the goal are gray too.
         space: Alternatively, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
@@ -202,7 +205,11 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw values on a slice: colors from 0 to ``largest``, up to ``num_levels`` contours, gray where ``closed``."""
+    """Draw ``values`` at the ``points`` of a slice, and return the image of their colors.
+
+    Colors range from 0 to ``largest``. Up to ``num_levels`` contour lines are added. Points that are ``closed`` are
+    covered in gray.
+    """
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1  # Matplotlib draws contours only of two rows and two columns or more
@@ -229,7 +236,7 @@ def plot_cells(
     at: Mapping[int, float | int] | None = None,
     color: str = _CELL_COLOR,
 ) -> Axes:
-    """Draw the cells of a partition, one rectangle per leaf; arguments and errors as for :func:`plot_contours`."""
+    """Draw the cells of a PLR, one rectangle per leaf; arguments and errors are as for :func:`plot_contours`."""
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, None)
     ax = prepare_axes(ax, shown, room_for_colorbar=False)
@@ -255,7 +262,7 @@ def plot_error(
     Args:
         errors: Result of ``metrics.error_grid``: errors at the cell centers of a grid, row 0 at the lowest ``y``. NaN
             is blank, infinite errors (points without an answer) are red. At least one is finite.
-        workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
+        workspace: The workspace of the errors, whose obstacles are drawn on top; or their configuration space.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors, such as "m".
@@ -287,7 +294,10 @@ def plot_error(
 
 
 def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Raise a ``ValueError`` unless a slice is one of the workspace, or of the space, and not both are given."""
+    """Raise a ``ValueError`` if a slice does not fit the workspace or the space, or if both are given.
+
+    A workspace needs a slice along axes 0 and 1; a space must have as many dimensions as the slice's domain.
+    """
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave it out.")
     if workspace is not None and space is not None:
@@ -309,14 +319,17 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
+    """Split free space into the parts that contain a goal, and the other parts.
+
+    If no goal is in free space, all parts count as parts with a goal.
+    """
     parts = shapely.get_parts(workspace.free_space)
     is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
     return (list(parts[is_reached]), list(parts[~is_reached])) if is_reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:
-    """Return the corners, counterclockwise, of the rectangles in which cells meet a slice."""
+    """Return the rectangles in which the boxes of a PLR meet a slice: four corners each, counterclockwise."""
     # 1. Along the axes that are fixed, a cell holds the coordinates lo <= at < hi; the last cell holds its hi too.
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     fixed = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]

@@ -16,7 +16,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 _ROUNDING = 1e-12  # slack of the checks of a body, as a share of its size
 _HALF_TURN = 0.5 + 1e-10  # in full turns; the excess absorbs the rounding of headings up to 1e5
 _MOST_VERTICES = 1_000
-_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, the front left one first
+_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, front left first
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
@@ -27,9 +27,9 @@ class Robot:
     """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
 
     The *reference point* is the origin of the core's frame and must lie in the body, since distances measure the path
-    of this point. A configuration has the point's position, and the heading by which the body turns about the point.
-    A new shape is a subclass that sets the three attributes. Robots of equal shape must be equal and have the same
-    hash, as frozen dataclasses do.
+    of this point. A configuration is the position of this point, followed by the heading if the body can turn: the
+    angle by which it is turned about the point. A new shape is a subclass that sets the three attributes. Robots of
+    equal shape must be equal and have the same hash, as frozen dataclasses do.
 
     Attributes:
         rounding: Radius by which the core is rounded, in workspace units, at least 0.
@@ -56,7 +56,7 @@ class Robot:
 
     @cached_property
     def breadth(self) -> float:
-        """Smallest distance of two parallel lines that enclose the body."""
+        """Smallest distance between two parallel lines that enclose the body."""
         across = side_offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
         return float(across) + 2 * self.rounding
 
@@ -73,7 +73,10 @@ class Robot:
 
 
 def check_body(name: str, robot: Robot) -> None:
-    """Raise a ``ValueError`` unless a robot is convex, counterclockwise, and around its reference point."""
+    """Raise a ``ValueError`` unless a robot's core is convex and counterclockwise, and its body holds the origin.
+
+    The origin of the core's frame is the robot's reference point. ``name`` begins the message.
+    """
     core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
         raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")
@@ -92,13 +95,17 @@ def check_body(name: str, robot: Robot) -> None:
 
 
 def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
-    """Return the signed distance of each point to the line of each side of a polygon, positive to the left."""
+    """Return the signed distance of each point ``x[j]`` to the line of each side ``i`` of a polygon, ``(k, n)``.
+
+    Side ``i`` leads from vertex ``i`` to the next one. Distances are positive to its left: inside, if the vertices
+    are counterclockwise.
+    """
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
 
 
 def team_dof(robots: Sequence[Robot]) -> int:
-    """Return how many coordinates each robot's configuration has in a team: 3 if any robot has a heading, else 2."""
+    """Return the number of coordinates per robot in joint configurations: 3 if any robot has a heading, else 2."""
     return max((robot.dof for robot in robots), default=2)
 
 
@@ -110,7 +117,7 @@ def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batc
 
 
 def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the angles between headings, from 0 to pi; a turn by way of a third heading is never shorter."""
+    """Return the angles between headings, from 0 to pi; they satisfy the triangle inequality."""
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * np.abs(turns - np.rint(turns))
 
@@ -118,14 +125,18 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
 def between(
     q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Return configurations at shares ``t`` from 0 to 1 of straight motions, which turn the shorter way."""
+    """Return the configurations at fractions ``t``, from 0 to 1, of straight motions, which turn the shorter way."""
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
 
 
 def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the fraction of the motion between them that is done."""
+    """Return, for each time ``when``, the rows of a path before and after it, and the fraction of the way between.
+
+    Row ``i`` of the path is reached at ``times[i]``, in nondecreasing order. A time outside the path counts as the
+    nearer end of it.
+    """
     # A time at the end belongs to the last motion. A path of one row has no motion: both rows are its only row.
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
@@ -136,7 +147,7 @@ def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows
 
 
 def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "n 2"]:
-    """Return the positions in the workspace of points in the robot's frame, for the robot at ``q``."""
+    """Return the workspace positions of points that are given in the frame of a robot at configuration ``q``."""
     if robot.dof == 2:
         return q[:2] + points
     cos, sin = np.cos(q[2]), np.sin(q[2])
@@ -144,7 +155,7 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
 
 
 def footprint(robot: Robot, q: Float[np.ndarray, " dof"]) -> Any:
-    """Return the core of a robot at configuration ``q``, without the radius around it, as a Shapely geometry."""
+    """Return the core of a robot at configuration ``q`` as a Shapely geometry, not widened by ``robot.rounding``."""
     corners = placed(robot, robot.core, q)
     return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)
 

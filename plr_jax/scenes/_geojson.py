@@ -1,4 +1,4 @@
-"""Readers of polygons as workspaces: rings in JSON, GeoJSON, and well-known text (WKT)."""
+"""Read files of polygons as workspaces: JSON files of rings, GeoJSON, and well-known text (WKT)."""
 
 import math
 import os
@@ -21,7 +21,7 @@ from plr_jax.geometry.workspace import Workspace
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
-    """Read a workspace from a JSON file of free-space polygons; its bounds are their bounding box.
+    """Read a workspace from a JSON file of free-space polygons; its bounds are the bounding box of the polygons.
 
     The file has one of these forms. A ring is a list of points ``[x, y]``; ``"holes"`` is optional::
 
@@ -149,7 +149,11 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
-    """Make a workspace of polygons, obstacles or free space; warn if coordinates look like degrees."""
+    """Return the workspace whose obstacles, or whose free space, are the polygons ``shapes``.
+
+    If ``bounds`` is None, the bounds are the bounding box of the polygons. A warning tells if coordinates look like
+    degrees.
+    """
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
     if not shapes:
@@ -214,7 +218,10 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 
 
 def _polygon(rings: Any, where: str) -> Iterator[Any]:
-    """Yield the polygon of a list of rings, the outer one first; yield nothing if they are empty."""
+    """Yield the polygon of a list of rings, outer ring first, or nothing if all rings are empty.
+
+    ``where`` names the polygon's place in the file for error messages.
+    """
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
     rings = rings or []

@@ -1,7 +1,7 @@
 """Configuration spaces of robots in a planar workspace.
 
-``PlaneSpace`` has the positions of a point or disc; ``BodySpace`` is the base of spaces of one robot. Functions test
-points, segments and Shapely shapes against the walls of a workspace.
+``PlaneSpace`` is the space of a point or disc. ``BodySpace`` is the base class of spaces of one robot. The functions
+test points, segments and Shapely shapes against the walls of a workspace.
 """
 
 from dataclasses import dataclass, field
@@ -38,9 +38,10 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Float[np.ndarray, "n 2"]) -> Booleans:
-    """Return whether segments ``links`` are proven to cross a wall, even if their ends move by up to ``reaches``.
+    """Return whether the segments ``links`` are proven to cross a wall, however their ends move within ``reaches``.
 
-    The second end of each link must have at least the reach of its first end.
+    ``reaches`` has the largest distance by which each of the two ends may move. It must not be less for the second
+    end than for the first.
     """
     #         a
     #          \                  The link a b still crosses the wall p q if
@@ -72,7 +73,7 @@ def segment_distances(a: Links, b: Links) -> Float[np.ndarray, " n"]:
 
 
 def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
-    """Return whether Shapely shapes are at most a distance from walls; for distance 0, whether they touch walls."""
+    """Return whether Shapely shapes are at most ``distance`` from a wall; for 0, whether they touch a wall."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
     return np.isin(np.arange(len(shapes)), workspace.edge_tree.query(shapes, predicate="intersects")[0])
@@ -84,7 +85,7 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
-    """A base of the spaces of one robot in a workspace, which tests configurations and motions."""
+    """The base class of the configuration spaces of one robot; it tests configurations and motions in a workspace."""
 
     workspace: Workspace
     robot: Robot
@@ -111,7 +112,7 @@ class BodySpace:
 
 @dataclass(frozen=True)
 class PlaneSpace(BodySpace):
-    """Positions of a point or disc in a workspace; the cost of a motion is its length.
+    """The configuration space of a point or disc in a workspace; the cost of a motion is its length.
 
     The robot is a PointRobot, the default, or a DiscRobot; another robot, or one that fits nowhere, raises
     ``ValueError``. A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
@@ -119,8 +120,8 @@ class PlaneSpace(BodySpace):
 
     The state of boxes is exact for a point. For a disc of radius ``r``, chords replace arcs around corners of
     obstacles. So near a corner, a blocked box may be MIXED if a slightly smaller disc fits at one of its positions.
-    The radius of such a disc is smaller by at most the tolerance, plus the larger of ``0.005 * r`` and
-    ``0.0008 * (r * side**2) ** (1 / 3)``, where ``side`` is the longer side of free space.
+    Its radius is smaller by at most the tolerance plus the larger of ``0.005 * r`` and
+    ``0.0008 * (r * side**2) ** (1 / 3)``. Here ``side`` is the longer side of the free space.
     """
 
     robot: Robot = field(default_factory=PointRobot)
@@ -193,7 +194,10 @@ class PlaneSpace(BodySpace):
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def separated(self, q: ArrayLike) -> "tuple[PlaneSpace, PlaneSpace | None]":
-        """Divide the space into the polygons of free space that hold positions ``q``, and the rest, or None."""
+        """Divide the space into the polygons of free space that contain a position of ``q``, and the other polygons.
+
+        Each part is a space of its own. If one of the parts has no polygon, the result is the space itself and None.
+        """
         polygons = shapely.get_parts(self._passable)
         may_squeeze = self.robot.circumscribed_radius == 0 and self.workspace.squeeze
         holds = joined_parts(polygons, as_points("q", q, 2), 2 * self.workspace.tolerance, may_squeeze)
@@ -220,7 +224,7 @@ class PlaneSpace(BodySpace):
 
 @dataclass(frozen=True)
 class _PlanePart(PlaneSpace):
-    """The positions of a PlaneSpace in some polygons of its free space, the ``region``."""
+    """A part of a PlaneSpace: only the polygons ``region`` of its free space are free."""
 
     region: Any = None
 
