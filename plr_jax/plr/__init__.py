@@ -1,4 +1,4 @@
-"""PLRs (piecewise linear regressions): build, prove, store and evaluate them."""
+"""Piecewise linear regressions (PLRs) of distance functions: build, store and evaluate them, and prove error bounds."""
 
 import lazy_loader
 

@@ -137,9 +137,9 @@ def construct(
         leaf: Leaf model: a name from the list below, or an instance such as ``Plane(coefficient_bits=16)``.
         max_bytes: Largest size of the PLR's file, in bytes. Planes then choose the number of bits per coefficient.
         max_leaves: Largest number of leaves.
-        max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
-            along one axis as well: in the plane to 14, for other leaves than cones in small files to fewer (planes in
-            2 KB: 7), in ``dim`` > 2 dimensions to ``28 // dim``.
+        max_depth: Largest number of splits between the root and a leaf, at most 60. Lookup tables also limit the
+            halvings along each axis: to 14 in the plane, to ``28 // dim`` in ``dim`` > 2 dimensions. In small files,
+            leaves other than cones allow fewer halvings, such as 7 for planes in 2 KB.
         tolerance: Error, in units of distance, up to which cells are not split. The error of a cell is its priority
             from ``options.should_split`` or, for cones and certified planes, its proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
@@ -170,8 +170,9 @@ def construct(
     Returns:
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning.
         Most distance functions of this package know where free points cannot reach the goal. There, the PLR answers
-        ``inf``, except within a 64th of the domain of points that can. If the limits are too small for that, a
-        warning says in which share of the domain. Another warning tells if most of free space cannot reach the goal.
+        ``inf``, except closer than 1/64 of the domain's width to points that can. If the limits are too small for
+        this, a warning states the share of the domain where the PLR wrongly answers a finite number. Another warning
+        tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -217,7 +218,11 @@ def _build_leaves(
     leaf: LeafModel | str,
     root: CellSources | None = None,
 ) -> DecodedFile:
-    """Build the content of a file with one leaf model. ``root`` has the sources of the whole domain, if known."""
+    """Build a PLR with the leaf model ``leaf``, and return the content of its file.
+
+    ``limits`` are ``max_depth``, ``max_leaves``, ``max_bytes`` and ``tolerance``. ``root``, if known, has the corners
+    at which shortest paths from points of the domain may turn first.
+    """
     # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
     model = leaf_model(leaf)
     model.check_dim(domain.dim)
@@ -284,7 +289,10 @@ def proof_of(certified: bool | str) -> Proof:
 
 
 def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
-    """Warn if most of free space cannot reach the goal, or a PLR answers free points there with a finite number."""
+    """Warn if most of free space is cut off from the goal, or if the PLR answers a finite number at cut-off points.
+
+    The second warning ignores cut-off points that are close to points from which the goal can be reached.
+    """
     if reach is None:
         return
     dim = contents.domain.dim
@@ -321,9 +329,10 @@ def build_best_model(
     only_bytes: bool,  # whether max_bytes is the only limit and all rules are the defaults
     seed: int,
 ) -> DecodedFile:
-    """Build a PLR with each suitable leaf model, until Ctrl-C, and return the one of the smallest error.
+    """Build a PLR with each suitable leaf model, and return the file content of the PLR with the smallest error.
 
-    ``ValueError`` if no model can be built: the refusal of the model that needs the fewest bytes, or the first one.
+    After Ctrl-C, choose among the PLRs built so far. If no model can be built, raise the ``ValueError`` of the model
+    that needs the fewest bytes; if no error states this number, raise the first error.
     """
     # 1. Find the sources of the whole domain once, for all models.
     root = None
@@ -405,10 +414,11 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the error of an existing PLR at all points of its domain that reach the goal.
 
-    Return a copy with this proof, in ``max_error`` and ``bounds``, instead of any earlier one. The proof samples no
-    points: the oracle *answers for whole cells*, that is, it knows to which corners shortest paths from the points of
-    a cell may go first. Errors of the oracle itself are not included. Where two parts of free space touch at a point,
-    one cell covers both, so the proven error is at least half of the jump between them.
+    Return a copy of the PLR with this proof instead of any earlier proof: see :attr:`PLR.max_error` and
+    :meth:`PLR.bounds`. The proof samples no points. It needs an oracle that *answers for whole cells*: the oracle
+    knows to which corners shortest paths from the points of a cell may go first. Errors of the oracle itself are not
+    included. If two parts of free space touch only at a point, the distance may jump there. One cell covers both
+    parts, so its proven error is at least half of the jump.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
@@ -438,7 +448,10 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
-    """Return an oracle for which bounds can be proven; ``ValueError`` for any other."""
+    """Return ``oracle`` if error bounds can be proven for PLRs of it in ``domain``; else raise ``ValueError``.
+
+    The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells.
+    """
     if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

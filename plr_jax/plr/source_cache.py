@@ -13,7 +13,10 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class SourceCache:
-    """A cache of the sources of cells, so that halves inherit the sources of their wholes."""
+    """A cache of the sources of cells, from which the sources of their halves are computed.
+
+    ``root`` has the sources of the whole domain. Sources are the corners to which shortest paths may go first.
+    """
 
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
@@ -50,7 +53,7 @@ class SourceCache:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
-        """Return the sources of a tree's leaves; unless all are known, descend from the domain's sources."""
+        """Return the sources of a tree's leaves; if some are not cached, compute them from the domain downward."""
         if not self._knows(tree.leaves).all():
             nodes = np.zeros(1, np.int64)  # of a level; `visible` has their sources
             visible = self.sources(Cells.root(2))
@@ -79,7 +82,10 @@ class SourceCache:
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-    """Return exact distances to the goal at ``k`` points of each cell; ``inf`` where it cannot be reached."""
+    """Return the exact distance to the goal at each point ``x[i, j]`` of cell ``i``; ``inf`` without a path.
+
+    ``visible`` has the free space of each cell, and the corners at which paths from it may turn first.
+    """
     # 1. Find all pairs of a piece of free space and a point in it; the point is ``x[cell of the piece, column]``.
     distance = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])

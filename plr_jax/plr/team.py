@@ -1,4 +1,4 @@
-"""Evaluation of one PLR for each robot of a team, compiled as one function."""
+"""Evaluation of several PLRs, one for each robot of a team, compiled as one function."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -42,7 +42,10 @@ class TableStack:
         return distances.T
 
     def _answer(self, q: Float[np.ndarray, "n robots dof"]) -> tuple[Array, ...]:
-        """Return each robot's answers, for joint configurations padded by zeros up to one of few batch sizes."""
+        """Return an array of distances (or lower bounds) for each robot, one entry per row of the padded ``q``.
+
+        ``q`` is padded by zeros up to one of few batch sizes, so that few sizes are compiled.
+        """
         q = padded(q.astype(np.float64, copy=False), padded_size(len(q), _SIZES))
         pairs = [plr.tables_and_points(q[:, i, : plr.dim]) for i, plr in enumerate(self.plrs)]
         dtype = jax.dtypes.canonicalize_dtype(np.float64)
