@@ -64,7 +64,10 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Convert an ``offset`` from the domain's lower end to units of ``2**-23`` of the width; see :class:`Frame`."""
+    """Return an ``offset`` from the domain's lower end as an integer number of ``2**-23`` widths of the domain.
+
+    ``frame`` has the numbers of one axis: see :class:`Frame`.
+    """
     # The mantissa bits of max(min(share, top) + start, 1), a float from 1 to below 2; share is at least 0, so the
     # maximum is needed only if start < 1.
     start, top = frame[Frame.START], frame[Frame.TOP]
@@ -153,13 +156,16 @@ class Program:
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
         """Return how far points lie along each axis of the domain, in units of ``2**-23`` of the domain's width.
 
-        ``offsets`` are those of :meth:`offsets`.
+        ``offsets`` is the result of the method :meth:`offsets`.
         """
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Return answers at points, given by :meth:`offsets`, in the leaf with parameters ``numbers``."""
+        """Return the answers at points in the leaf with the parameters ``numbers``.
+
+        ``offsets`` has the points as the method :meth:`offsets` returns them.
+        """
         # 1. For polynomials, two numbers for each axis come before the leaf's parameters: how many cells as long as
         # the leaf's cell the domain has along the axis, and the index of the leaf's cell. In the cell, the coordinate
         # is t = (share of the domain's width) * number - index, from 0 to 1.
@@ -181,7 +187,10 @@ class Program:
         return do.where(straight > value, straight, value)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the lower bound by straight lines to the goals; None if none is stored."""
+        """Return the lower bound of the distance by straight lines to the goals; None if the file stores no such bound.
+
+        ``offsets`` has the points as the method :meth:`offsets` returns them.
+        """
         # max(least cost of a goal - margin, 0); a goal's cost is the sum over groups of axes of
         #   rate * sqrt(sum of squared changes of the group's coordinates).
         if self.straight is None:
@@ -209,10 +218,10 @@ class Program:
 
 
 class CodedTree:
-    """A binary tree of cells whose nodes are integers ``index << kind_bits | kind``.
+    """A binary tree of cells in which each node is an integer ``index << kind_bits | kind``.
 
-    A split node's kind is the axis that it halves, and its index is a row of ``children``, in level order. A leaf's
-    kind is ``dim``, and its index is a row of leaf parameters.
+    The kind of a split node is the axis that it halves, and its index is its row in ``children``, which has split
+    nodes level by level. The kind of a leaf is ``dim``, and its index is its row of leaf parameters.
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, " leaves"]) -> None:

@@ -1,8 +1,8 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from them, and rounding may make some differ
-from those that a query of the PLR file uses. This module finds such parameters and stores them too. So all answers
-are equal, bit for bit.
+``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from them. Due to rounding, some of these may
+differ from the parameters that a query of the PLR file uses. This module finds and stores such parameters, so that
+all answers are equal, bit for bit.
 """
 
 import math
@@ -43,7 +43,7 @@ _EXACT = 2**53  # doubles hold all integers up to here
 
 
 def compact_bytes(program: Program) -> bytes:
-    """Return the bytes that the C decoder reads, in the smallest encoding that the PLR's leaf model has."""
+    """Return the bytes that the C decoder reads, in the smallest of the encodings that the PLR's leaf model has."""
     leaf, contents = program.leaf, program.contents
     if not leaf.has_compact_code:
         raise ValueError(f"The compact decoder does not know leaves of kind {leaf.name!r}: use compact=False.")
@@ -77,7 +77,7 @@ class _CompactWriter:
 
     @property
     def _at(self) -> int:
-        """Position, in bits, at which the next part of the file begins."""
+        """The position in the result, in bits, at which the next part begins."""
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_domain(self) -> None:

@@ -71,7 +71,11 @@ class LeafTable:
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind_mask == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
-        """Return the index of each point's leaf; coordinates are in units of ``2**-23`` of the domain's width."""
+        """Return the index of each point's leaf.
+
+        ``fractions`` has the points' coordinates, an array for each axis, in units of ``2**-23`` of the domain's
+        width.
+        """
         # The row-major index of a grid cell consists of the highest bits of the point's fraction along each axis.
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
@@ -292,7 +296,10 @@ class NumpyPLR:
         return np.append(require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored)), np.nan)
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, " leaves_and_outside *row"]) -> Any:
-        """Return the row of each point's leaf; the last row, of NaN, for NaN and outside the domain."""
+        """Return ``rows[leaf]`` for the leaf of each point ``x``, ``(..., dim)``.
+
+        Outside the domain and where a coordinate is NaN, return the last row, which is NaN.
+        """
         leaf = self._at_few_points(x, self._leaf_query)  # -1, the last row, outside
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
@@ -318,9 +325,10 @@ class NumpyPLR:
             return None
 
     def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
-        """Return ``answer(offsets, leaf)`` for points in chunks, and the answers ``outside`` of the domain.
+        """Return ``answer(offsets, leaf)`` for all points ``x``, ``(..., dim)``, computed in chunks.
 
-        ``offsets`` are points minus the domain's lower corner, ``leaf`` the indices of their leaves.
+        ``offsets`` are points minus the domain's lower corner, ``leaf`` the indices of their leaves. ``outside`` is
+        the answer at points outside the domain: ``"inf"``, ``"clamp"`` or ``"nan"``.
         """
         x, program = as_queries(x, self.dim), self._program
         flat, parts = x.reshape(-1, self.dim), []
@@ -372,7 +380,10 @@ class NumpyPLR:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        """Return columns with the lower bound, at least 0, and the upper bound, both rounded outward."""
+        """Return the proven bounds ``(n, 2)`` of the distance: lower bounds, at least 0, and upper bounds.
+
+        Both are rounded outward. Where the PLR is not finite, both equal its value.
+        """
         assert self._band is not None, "bounds are called only with a proof"
         value = self._values(offsets, leaf)
         band = self._band if self._band.shape[1] == 1 else self._band[:, leaf]  # one for all leaves, or one for each

@@ -99,10 +99,10 @@ def store_sources(
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
     goals: Int[np.ndarray, " goals"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
+    """Round sources to lattices, and merge sources that are rounded to one point; also return each source's new index.
 
     ``offsets`` are distances to the goal; ``is_off`` is the result of :func:`off_lattices`, if known. With several
-    goals, ``goals`` has their indices, and they are the first sources. ``ValueError`` if numbers are too large.
+    goals, the goals are the first sources, and ``goals`` has their indices. ``ValueError`` if numbers are too large.
     """
     # 1. Check the limits.
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
@@ -311,11 +311,14 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's apex; leaves without a path, < 0, get another leaf's apex."""
+        """Encode cone leaves; ``source`` has the index of each leaf's apex among the sources.
+
+        A negative index marks a leaf without a path to the goal; it gets another leaf's apex.
+        """
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
-        """Return the size of a file of leaves with these apexes, as :meth:`Limits.file_size` computes it."""
+        """Return the largest size in bytes of a file of leaves with the apexes ``source``: see ``Limits.file_size``."""
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         num_cut_off = int(np.count_nonzero(source == CUT_OFF))

@@ -123,7 +123,7 @@ class Lattice:
         """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape of a box.
 
         The boxes ``box[row]`` have this shape. The samples of box ``box[row[i]]`` have the indices
-        ``first_sample[i] + offset``. These are all samples of the box, not only some as in :attr:`samples`.
+        ``first_sample[i] + offset``. These are all samples of the box; :attr:`samples` has at most 64.
         """
         shape_of_box = np.searchsorted(list(self.first.values()), box, side="right") - 1
         for index, shape in enumerate(self.first):
@@ -383,9 +383,10 @@ class FamilyTask:
     goals_at_once: ClassVar[int] = 1
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], None]:
-        """Return the largest tree within the limits and its leaves, in a list; None in it if no sample has a path.
+        """Return a list with the largest tree within the limits, and its leaves, for the only oracle in ``oracles``.
 
-        The second result is None: no sources of leaves are known, unlike those of :class:`WorstFirst`.
+        The list has None if no sample has a path to the goal. The second result, where :class:`WorstFirst` returns
+        the sources of the leaves, is None, since this task does not compute them.
         """
         (oracle,) = oracles
         goal = goal_samples(oracle, self.shared)
@@ -403,7 +404,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | WorstFirst | None:
-    """Return a builder of cone leaves for goals in ``first``'s workspace; None if limits allow too many leaves."""
+    """Return a builder of cone leaves for goals in the workspace of ``first``; None if limits allow too many leaves."""
     # 1. Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)
