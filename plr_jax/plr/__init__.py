@@ -1,4 +1,4 @@
-"""Piecewise linear regressions (PLRs) of distance functions: build, store and evaluate them, and prove error bounds."""
+"""Build, store and evaluate piecewise linear regressions (PLRs) of distance functions, and prove error bounds."""
 
 import lazy_loader
 

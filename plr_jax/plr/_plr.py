@@ -40,8 +40,8 @@ class PLR(FileBacked):
     :func:`construct` and :func:`load` make PLRs. ``plr(x)`` evaluates a PLR: see :func:`evaluate`. A PLR is immutable
     and a pytree of arrays: a jitted function can close over it or take it as an argument. A function that takes it as
     an argument can only query it, since properties like ``domain`` need concrete arrays. If arrays of a PLR are
-    replaced, as by ``jax.tree.map``, queries use the new arrays, but the file, proof and exports raise ``ValueError``.
-    Reference: Putman et al., Section III.
+    replaced, as by ``jax.tree.map``, queries use the new arrays, but the file, proof and exports raise
+    ``ValueError``. Reference: Putman et al., Section III.
 
     ``jax.grad`` differentiates with respect to points, but raises ``TypeError`` with respect to the PLR, because a
     PLR has integer tables.
@@ -106,7 +106,7 @@ class PLR(FileBacked):
         return evaluate_anywhere(tables, x, as_outside(outside))
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
-        """Return a NumPy reader if it can answer at these points, bit for bit as JAX but without compiling; else None.
+        """Return a NumPy reader that answers at these points as JAX does, but without compiling; None if it cannot.
 
         The reader answers at most 4,096 points that are not traced, unless ``jax_enable_x64`` is set or the PLR's
         arrays were replaced.
@@ -153,8 +153,8 @@ class PLR(FileBacked):
 
         Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
         outside the domain and where the PLR answers ``inf``, and NaN where a coordinate is NaN. In obstacles, and
-        elsewhere where the goal cannot be reached, they are meaningless. ``ValueError`` if the PLR has no proof, or if
-        the points are invalid (see :func:`evaluate`).
+        elsewhere where the goal cannot be reached, they are meaningless. ``ValueError`` if the PLR has no proof, or
+        if the points are invalid (see :func:`evaluate`).
 
         The proof refers to the oracle or space that was given to :func:`construct`, :func:`certify` or
         :func:`solve_eikonal`, and covers the rounding of a query. It holds on the boundaries of obstacles. It does
@@ -389,7 +389,7 @@ class PLR(FileBacked):
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Gradient of each leaf's plane, or of a curved leaf's mean plane, in coordinates of :attr:`folded_domain`."""
+        """Gradient of each leaf's plane (of a curved leaf's mean plane), in coordinates of :attr:`folded_domain`."""
         return self._planes[1]
 
     @property

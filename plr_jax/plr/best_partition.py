@@ -51,7 +51,7 @@ class BoxLevel:
         return self.boxes.integral + weight * self.boxes.peak
 
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
-        """Return whether each box may be halved along each axis (row 0 or 1), but has not been halved along it yet."""
+        """Return whether each box may be halved along each axis (a row for each), but has not been so far."""
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -205,7 +205,7 @@ class PricedTree:
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of a leaf's largest error (its peak) in its cost, for trees of about ``num_leaves`` leaves."""
+    """Return the weight of a leaf's peak (largest error) in its cost, for trees of about ``num_leaves`` leaves."""
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 

@@ -105,8 +105,9 @@ Errors: TypeAlias = Float[np.ndarray, " leaves"]
 SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
 """Function ``sufficient(least, most, recompute)``: returns lower and upper bounds of errors that are tight enough.
 
-``least`` and ``most`` are the smallest and the largest error found at points of each leaf, and 0; so
-``least <= 0 <= most``. If ``recompute`` is False, the function may return about the same bounds as in the call before.
+``least`` is the smallest error found at points of each leaf, or 0 if that is smaller; ``most`` is the largest error,
+or 0 if that is larger. If ``recompute`` is False, the function may return about the same bounds as in the call
+before.
 """
 
 
@@ -326,9 +327,9 @@ class Certificate:
     ) -> "Certificate":
         """Encode bounds of each leaf's error, widened by ``rounding``, the error of 32-bit queries in the leaf.
 
-        For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by the errors and by the ``volume``
-        of each leaf. They take at most 1/128 of ``num_bytes``, the size of all leaves in a file. If the shared bounds
-        of an earlier certificate ``before`` suffice, they are used again.
+        For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by the errors and by the
+        ``volume`` of each leaf. They take at most 1/128 of ``num_bytes``, the size of all leaves in a file. If the
+        shared bounds of an earlier certificate ``before`` suffice, they are used again.
         """
         # 1. Lengths of the intervals below and above the leaf's function, and a scale that is at least all of them.
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
@@ -372,7 +373,7 @@ class Certificate:
 
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
-        """Distinct pairs of a lower (row 0) and an upper (row 1) bound that leaves share, the narrowest pair first."""
+        """Distinct pairs of a lower (row 0) and an upper (row 1) bound that leaves share, narrowest first."""
         bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 

@@ -216,7 +216,7 @@ def _extra_bits(values: Int[np.ndarray, " n"], order: int) -> Int[np.ndarray, " 
 
 
 def bits_of_set(num_members: int, size: int) -> int:
-    """Return an upper bound of the bits that a subset of ``range(size)`` with ``num_members`` members takes in a file.
+    """Return an upper bound of the bits that a subset of ``range(size)`` takes in a file, by its number of members.
 
     It is 0 for an empty set, which is not written.
     """

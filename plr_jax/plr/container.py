@@ -45,7 +45,7 @@ _SIZE_BYTES = 4
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a file: encoded leaves and their proof, with the codes of the leaf model and of the kind of proof."""
+    """A layer of a file: encoded leaves and their proof, with the codes of leaf model and kind of proof."""
 
     leaf_code: int
     body: bytes  # encoded tree, leaves and proof
@@ -158,7 +158,7 @@ class Container:
         return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
-        """Encode the file: the header, then each layer, followed by a checksum of the header and all layers so far."""
+        """Encode the file: the header, then each layer with a checksum of the header and of all layers so far."""
         *first, last = self.layers
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
@@ -208,7 +208,7 @@ def holds_pairs(data: bytes) -> bool:
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """Read at most ``MOST_BYTES + 1`` bytes of a file; at most 4,096 if it does not start like a PLR or pairs file."""
+    """Read at most ``MOST_BYTES + 1`` bytes of a file; at most 4,096 if it is no file of a PLR or of pairs."""
     with open(path, "rb") as file:
         data = file.read(_START)
         if data.startswith((MAGIC, GRID_MAGIC)):  # another file may be endless, such as a device

@@ -231,8 +231,8 @@ def enclosing_planes(
     """Expand the polynomial of each leaf (in the plane) at the center of a box.
 
     Return the value, the gradient, and an upper bound, over the box, of the absolute sum of all other Taylor terms.
-    ``center`` and ``reach`` (half of the box's width along each axis) are in local coordinates, from 0 to 1 across the
-    leaf. ``order`` is 0 for multilinear and 1 for cubic functions.
+    ``center`` and ``reach`` (half of the box's width along each axis) are in local coordinates, from 0 to 1 across
+    the leaf. ``order`` is 0 for multilinear and 1 for cubic functions.
     """
     # In the plane, f = sum of P[p, q] x**p y**q = sum of Q[a, b] (x - cx)**a (y - cy)**b over the exponents. Beside
     # Q[0, 0], Q[1, 0] and Q[0, 1], each term is at most |Q[a, b]| * reach_x**a * reach_y**b.

@@ -38,8 +38,8 @@ OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
 def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
     """Return how often each *block* must be halved along each axis until every leaf in it consists of whole cells.
 
-    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis; row ``i`` of the result is for the
-    block with the row-major index ``i``. ``cells`` are the leaves.
+    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis; row ``i`` of the result is for
+    the block with the row-major index ``i``. ``cells`` are the leaves.
     """
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
@@ -49,7 +49,7 @@ def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
 
 
 def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
-    """Count the pairs of a leaf and a grid cell that overlap; the grid has ``2**block_bits`` cells along each axis."""
+    """Count the overlapping pairs of a leaf and a cell of a grid with ``2**block_bits`` cells along each axis."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 

@@ -231,7 +231,7 @@ def center_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
-    """Return the priority ``inf`` for each cell, or 0 if no sample reaches the goal: cells are split breadth first."""
+    """Return priority ``inf``, or 0 if no sample of a cell reaches the goal: cells are split breadth first."""
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 

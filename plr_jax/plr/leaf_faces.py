@@ -95,8 +95,9 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
     """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
 
     Each row is an equation, and is solved for one of its variables: the variable of the highest ``level`` (a number
-    given for each variable), of several the one with the largest absolute weight, of several the first. ``ValueError``
-    if this takes more than ``most_weights`` additions. ``rows`` is modified: weights up to ``ZERO`` become 0.
+    given for each variable), of several the one with the largest absolute weight, of several the first.
+    ``ValueError`` if this takes more than ``most_weights`` additions. ``rows`` is modified: weights up to ``ZERO``
+    become 0.
     """
     from scipy.sparse import csr_array
 
@@ -202,8 +203,8 @@ def touching_leaves(
 def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, " pairs"]:
     """Return the size of the face that the two cells of each pair share; tiny for an edge or a corner, 0 if apart.
 
-    The size is a product over the axes of the length along which both cells meet, as a share of the domain. ``finest``
-    has the largest depth of cells along each axis.
+    The size is a product over the axes of the length along which both cells meet, as a share of the domain.
+    ``finest`` has the largest depth of cells along each axis.
     """
     # Along an axis, in widths of finest cells:
     #     lo[0] ------------- hi[0]

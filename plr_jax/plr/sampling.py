@@ -29,7 +29,7 @@ _FINE_DEPTH = 5  # halvings along each axis after which a cell is small enough t
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """The places of samples in every cell, in local coordinates ``u`` from -1 to 1 across the cell, and their weights.
+    """The places of samples in every cell, in local coordinates ``u`` from -1 to 1 across the cell, and weights.
 
     The first sample is the center. Samples may also lie beyond the cell.
     """
@@ -51,7 +51,7 @@ class Pattern:
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Matrix that maps sample values to the least-squares plane: center value, half of its rise along each axis."""
+        """Matrix from sample values to their least-squares plane: center value, half of its rise along each axis."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
@@ -97,7 +97,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "num_points dim"]:
-    """Return evenly spread points in the unit cube, moved by ``shift`` modulo 1; in the plane, a Fibonacci lattice."""
+    """Return evenly spread points in the unit cube, moved by ``shift`` modulo 1; in 2-D, a Fibonacci lattice."""
     # Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     dim, root = len(shift), 1.0
     for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane
@@ -400,7 +400,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
 
 
 def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
-    """Return the weights of samples; in a cell where they are all 0, return 1 for each sample that reaches the goal."""
+    """Return the weights of samples; in a cell where all are 0, return 1 for each sample that reaches the goal."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 

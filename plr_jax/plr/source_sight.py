@@ -16,7 +16,7 @@ from plr_jax.plr.leaves import as_sourced
 
 
 class SourceSight:
-    """Tests of whether points see the sources of a PLR, the corners and goals from which its leaves measure distances.
+    """Tests of whether points see the sources of a PLR, the corners and goals from which its cones measure distances.
 
     ``rounding`` is a bound of the error of a source's position in the file, in workspace units.
     """

@@ -74,7 +74,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Return the ``k`` points of each cell that have the local coordinates ``u``, from -1 to 1 across the cell."""
+        """Return the ``k`` points of each cell with the local coordinates ``u``, from -1 to 1 across the cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow if the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]

@@ -140,7 +140,7 @@ class LinearLeafModel(LeafModel):
 
     @abstractmethod
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
-        """Return the coefficients of planes: ``center`` is the value at a leaf's center, ``half`` is half of the rise.
+        """Return the coefficients of planes, given by the value at each leaf's center and half of the rise.
 
         The rise is the change of the plane across the leaf along each axis.
         """

@@ -89,7 +89,7 @@ _INSET = 0.998  # test points fill this share of the face, since its ends belong
 
 
 class FaceTests:
-    """Tests of which faces between leaves are *free*: at some point of the face, distances are finite on both sides."""
+    """Tests of which faces between leaves are *free*: at a point of the face, distances are finite on both sides."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn, self._domain = distance_fn, domain
@@ -142,7 +142,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition whose leaves must agree on their ``tied`` faces, the shared faces of leaves that paths can cross."""
+    """A partition whose leaves must agree on ``tied`` faces, the faces between two leaves that paths can cross."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, " leaves"]

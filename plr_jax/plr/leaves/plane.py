@@ -47,7 +47,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each axis, how many bits an entry of ``half`` takes in leaves of depth 0, 1, ... along this axis.
+        """Return, for each axis, how many bits an entry of ``half`` takes in leaves of depth 0, 1, ... along it.
 
         ``depth`` has the depth of each leaf along each axis.
         """

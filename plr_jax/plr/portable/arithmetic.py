@@ -187,7 +187,7 @@ class Program:
         return do.where(straight > value, straight, value)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the lower bound of the distance by straight lines to the goals; None if the file stores no such bound.
+        """Return the lower bound of the distance by straight lines to the goals; None if the file stores none.
 
         ``offsets`` has the points as the method :meth:`offsets` returns them.
         """

@@ -154,9 +154,9 @@ class Emitter(Operations, ABC):
     ) -> tuple[list[Expression], list[Expression]]:
         """Append code that finds the leaf of the point ``x``, whose coordinates have the type ``of_type``.
 
-        The statements ``outside`` run if ``x`` is outside the domain. ``read_leaf(self, fractions)`` appends code that
-        finds the leaf, and returns expressions of its parameters. Return the expressions of ``x`` minus the domain's
-        lower corner, and of the parameters.
+        The statements ``outside`` run if ``x`` is outside the domain. ``read_leaf(self, fractions)`` appends code
+        that finds the leaf, and returns expressions of its parameters. Return the expressions of ``x`` minus the
+        domain's lower corner, and of the parameters.
         """
         x = [self.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
         if of_type == "double":

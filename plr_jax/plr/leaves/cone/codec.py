@@ -99,7 +99,9 @@ def store_sources(
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
     goals: Int[np.ndarray, " goals"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    """Round sources to lattices, and merge sources that are rounded to one point; also return each source's new index.
+    """Round sources to lattices, and merge sources that are rounded to one point.
+
+    Return the stored sources, and the index of each given source among them.
 
     ``offsets`` are distances to the goal; ``is_off`` is the result of :func:`off_lattices`, if known. With several
     goals, the goals are the first sources, and ``goals`` has their indices. ``ValueError`` if numbers are too large.
@@ -318,7 +320,7 @@ class ConeFiles:
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
-        """Return the largest size in bytes of a file of leaves with the apexes ``source``: see ``Limits.file_size``."""
+        """Return the size in bytes of a file of leaves with the apexes ``source``: see :meth:`Limits.file_size`."""
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         num_cut_off = int(np.count_nonzero(source == CUT_OFF))

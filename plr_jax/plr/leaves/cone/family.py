@@ -404,7 +404,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | WorstFirst | None:
-    """Return a builder of cone leaves for goals in the workspace of ``first``; None if limits allow too many leaves."""
+    """Return a builder of cone leaves for goals in ``first``'s workspace; None if limits allow too many leaves."""
     # 1. Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)

@@ -248,8 +248,8 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
     """Choose a source for each leaf: where possible, a source that all of the leaf sees.
 
-    ``boxes`` are the leaves with their present sources. The largest proven error does not rise. ``fits`` tells whether
-    the file of leaves with given sources is within its limits.
+    ``boxes`` are the leaves with their present sources. The largest proven error does not rise. ``fits`` tells
+    whether the file of leaves with given sources is within its limits.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)

@@ -87,7 +87,7 @@ class _GoalTree:
         return leaf[np.argsort(self.nodes.path[leaf])]
 
     def used_share(self, num_splits: int) -> float:
-        """Return the share of the limits that the first ``num_splits`` splits use; above 1 if they exceed the limits."""
+        """Return the share of the limits that the tree of the first splits takes; above 1 if it exceeds them."""
         source, limits = self.nodes.source[self.leaves(num_splits)], self._limits
         num_bytes = self._files.num_bytes(source, limits) if np.isfinite(limits.max_bytes) else 0
         return max(len(source) / limits.max_leaves, num_bytes / limits.max_bytes)
