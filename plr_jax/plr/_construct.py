@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
 
 # Samples of a cell.
-_SAMPLE_FACTORS = 1, 8, 64  # of the number of samples, tried until enough samples of the domain reach the goal
+_SAMPLE_FACTORS = 1, 8, 64  # factors of num_samples, tried in turn until enough samples of the domain reach the goal
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
 _SPARSE = 1 / 16  # if a smaller share of the domain reaches the goal, cells with few samples are split first
@@ -53,7 +53,7 @@ _PARTS = 8  # boxes along each axis of a leaf, to measure how much of the leaf i
 # Choice of models for leaf="best". The two ratios were measured on random maps with 10 to 80 blocked cells.
 _CROWDED = 4  # cones are tried if all corners take at most this many times the byte budget
 _ROOMY = 0.5  # only cones are tried if all corners take at most this share of the byte budget
-_BYTES_A_SOURCE = 7  # of a corner in a file, if coordinates are on no lattice; else 3 or more
+_BYTES_A_SOURCE = 7  # bytes of a corner in a file if coordinates are on no lattice; else a corner takes at least 3
 _MOST_TIED_AXES = 6  # most dimensions of continuous leaves
 _ERROR_POINTS = 4096  # random points at which errors of models are compared
 
@@ -127,8 +127,8 @@ def construct(
 
     Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
     for other distance functions; ``"plane"`` for the paper's leaf and fast queries. Limits may be combined:
-    construction stops at the first one that is reached; without limits at 512 leaves, or at 2,048 leaves in more than
-    two dimensions if rooms without a path to the goal must be separated.
+    construction stops at the first limit that it reaches. Without limits, it stops at 512 leaves, or at 2,048 leaves
+    if rooms without a path to the goal must be separated in more than two dimensions.
 
     Args:
         distance_fn: Function from points ``(n, dim)`` to distances to the goal ``(n,)``; ``inf`` or a masked entry
@@ -152,7 +152,7 @@ def construct(
         - ``"plane"``: one plane a leaf, fitted best-first. The function may jump between leaves.
         - ``"continuous"``: values at the leaves' corners, shared by neighbors, in up to 6 dimensions. Smaller errors
           per byte than planes, but slower to build and to query.
-        - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
+        - ``"smooth"``: like ``"continuous"``, but with a continuous gradient, in 1 or 2 dimensions; slower.
         - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
           the next corner of the path changes, if the budget has room for all corners (a few bytes each). Needs a
           distance function in the plane that answers for whole cells.
@@ -161,8 +161,8 @@ def construct(
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
           whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. Each
           corner counts as 7 bytes. If all corners take at most half of ``max_bytes``, and neither ``max_leaves``,
-          ``max_depth`` nor rules of your own are given, it tries only cones. If they take over 4 times ``max_bytes``,
-          it tries no cones and, uncertified, no ``"smooth"``.
+          ``max_depth`` nor rules of your own are given, it tries only cones. If all corners take over 4 times
+          ``max_bytes``, it tries no cones and, if not certified, no ``"smooth"``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.

@@ -108,7 +108,11 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
 def _pages(
     cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, " entries"]]:
-    """Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level."""
+    """Yield the trie's entries for one PLR, an array for each level.
+
+    ``row`` has the row of parameters of each leaf, ``levels`` the result of :func:`trie_levels`. ``next_start`` is
+    the place in the trie where the second level begins.
+    """
     # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
     page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
     for level, (begin, end) in enumerate(pairwise(levels)):
@@ -137,7 +141,11 @@ def _pages(
 def _page_entries(
     place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: PerAxis, end: PerAxis
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return, for cells ``place`` of a level's ``end`` grid, the number of their page and the index in this page."""
+    """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
+
+    The pages are cells of the ``begin`` grid, given by their row-major indices ``page``. A page has an entry for each
+    cell of the ``end`` grid in it.
+    """
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
@@ -259,7 +267,7 @@ class PLRStack:
             raise ValueError("Every PLR of the stack must have a proof: see certify.")
 
     def _query(self, index: ArrayLike, x: ArrayLike, outside: Outside | None) -> Any:
-        """Return a tuple of distances or, if ``outside`` is None, of lower and upper bounds."""
+        """Check the arguments; return a tuple of distances or, if ``outside`` is None, of lower and upper bounds."""
         # 1. Check index and points. A single NumPy point is repeated by JAX's or NumPy's broadcasting.
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)

@@ -36,7 +36,7 @@ UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes computed so far that result from the domain by one fixed number of halvings, the level's number."""
+    """All boxes computed so far that result from the domain by a certain number of halvings, the level."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, " boxes"]  # hash of each box
@@ -51,7 +51,7 @@ class BoxLevel:
         return self.boxes.integral + weight * self.boxes.peak
 
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
-        """Return whether each box may be halved along each axis (a row for each), but has not been so far."""
+        """Return, for each axis and box, whether the box may be halved along the axis but has not been so far."""
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -147,9 +147,9 @@ Halves: TypeAlias = Int[np.ndarray, " halves"]
 
 
 def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
-    """Halve boxes ``parent`` of a level along ``axis``: add their halves to the next level, unless it has them.
+    """Halve boxes ``parent`` of level ``depth`` along ``axis``: add the halves to the next level, unless it has them.
 
-    Both arrays have two equal entries for each halving, one for the lower half and one for the upper half.
+    ``parent`` and ``axis`` have two equal entries for each halving: one for the lower half, one for the upper half.
     """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
@@ -287,7 +287,7 @@ class PriceSearch:
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:
-        """Return the best tree with the size of its file, if bytes are limited."""
+        """Return the best tree at a price per leaf. The size of its file is computed only if bytes are limited."""
         tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 

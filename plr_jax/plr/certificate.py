@@ -63,7 +63,7 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """The functions of leaves, which are the boxes from ``lo`` to ``hi``."""
+    """The functions of several leaves; leaf ``i`` is the box from ``lo[i]`` to ``hi[i]``."""
 
     model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
@@ -71,7 +71,7 @@ class LeafFunctions:
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def values(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Return the function of leaf ``leaf[i]`` at point ``x[i]``."""
+        """Return the value of the function of leaf ``leaf[i]`` at point ``x[i]``."""
         return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
 
     def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, " n"]) -> Bounds:
@@ -122,8 +122,8 @@ class LeafBounds:
 def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of the leaves' free space are halved until their bounds are as tight as ``sufficient`` demands. The
-    bounds include ``visible.slack``, the uncertainty of distances.
+    ``visible`` has convex pieces of the leaves' free space. They are halved until their bounds are as tight as
+    ``sufficient`` demands. The bounds include ``visible.slack``, the uncertainty of distances.
     """
     # Each leaf has an interval [least, most] of *attained* errors (distance - function), and each piece an interval
     # [below, above] that encloses its errors. Branch and bound closes the gap between both:

@@ -18,7 +18,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import ByteReader, signed_varint, varint
 from plr_jax.plr.folding import Folding
 
-VERSION = 5  # of files without the parts below; release 0.2 asks for an update of other versions
+VERSION = 5  # version of files without the parts below; release 0.2 reads no other version
 _NAMING_GOALS = 1  # added to the version if a file names goals
 _WITH_CUT_OFF = 2  # added to the version if a file names leaves that answer ``inf``
 PAIRS_CODE = 7  # in place of a leaf model's code, in files of distances between pairs of points

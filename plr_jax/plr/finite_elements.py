@@ -195,7 +195,10 @@ def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to the coefficients of all leaves' basis functions."""
+    """Return the matrix that maps the free degrees of freedom to the coefficients of all leaves, leaf by leaf.
+
+    The coefficients of a leaf belong to the basis functions of :func:`design`.
+    """
     return space.values if order == 0 else _values_and_derivatives(space)
 
 

@@ -80,7 +80,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, " n"]]]:
-        """For each subset of the mirrors, yield the points that it maps to ``z``, and which are in the domain."""
+        """For each subset of the mirrors, yield the points that it maps to ``z``, and which lie in the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)

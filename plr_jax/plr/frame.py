@@ -36,7 +36,7 @@ OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
 
 
 def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
-    """Return how often each *block* must be halved along each axis until every leaf in it consists of whole cells.
+    """Return how often each *block* must be halved along each axis until each resulting cell lies in one leaf.
 
     A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis; row ``i`` of the result is for
     the block with the row-major index ``i``. ``cells`` are the leaves.

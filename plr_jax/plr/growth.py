@@ -151,7 +151,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Turn fitted cells into nodes of the growing tree, as leaves; ``key_of_parent`` has their parents' keys.
+    """Turn fitted cells into leaves of the growing tree; ``key_of_parent`` has their parents' keys (:class:`Nodes`).
 
     ``priority`` and ``axis`` are what the rules ``should_split`` and ``split`` returned for the cells. A cell may be
     split if its priority is larger than tolerance and noise, and it is not too deep.
@@ -292,7 +292,7 @@ class Encoding:
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
-    """Return a function that turns cells, and the keys of their parents, into nodes of a growing tree.
+    """Return a function that turns cells, and their parents' keys (see :class:`Nodes`), into nodes of a growing tree.
 
     The function samples and fits cells, about a million samples at a time, and calls ``nodes_of(fit, parent_keys)``.
     Cells in which few samples reach the goal are sampled again with more samples.

@@ -1,7 +1,8 @@
 """Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners.
 
 Pairs of leaves are found by descending from pairs of nodes, without the pairs that do not touch: :func:`leaf_pairs`.
-Finite elements need both: leaves that share a face must agree on it, which constrains their values at corners.
+Finite elements need shared faces and constraints: leaves that share a face must agree on it, which constrains their
+values at corners.
 """
 
 from collections.abc import Callable

@@ -247,7 +247,10 @@ def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Arra
 
 
 def length_of(along: list[Values]) -> Float[Array, "*#batch"]:
-    """Return the lengths of vectors given axis by axis, without overflow or underflow; the gradient at 0 is 0."""
+    """Return the lengths of vectors, without overflow or underflow; the gradient at 0 is 0.
+
+    ``along`` has an array of coordinates for each axis.
+    """
     # |v| = s * |v / s|, with s the largest coordinate.
     largest = _constant(reduce(jnp.maximum, map(jnp.abs, along)))
     scale = jnp.where(largest > 0, largest, 1)

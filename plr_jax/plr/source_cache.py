@@ -26,7 +26,7 @@ class SourceCache:
         self.remember(Cells.root(2), root)
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
-        """Add the sources of cells, as a new part."""
+        """Add the sources of ``cells`` to the cache; ``visible`` has them."""
         hashes = np.append(self._hashes, cells.hashes())
         part = np.full(len(cells), len(self._parts))
         place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
@@ -35,7 +35,7 @@ class SourceCache:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells; each cell must be cached or half of a cached cell."""
+        """Return the sources of cells; each cell must be cached, or be half of a cached cell and is then cached."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # 1. Find the whole of each new cell: the cached cell along the first axis if there is one, else along the

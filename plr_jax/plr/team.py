@@ -25,7 +25,7 @@ class TableStack:
     bands: Bands  # arguments of :func:`bounds_of_tables` for a robot's lower bound; None for its distance
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's distance; its PLR sees the leading coordinates of the robot's configuration."""
+        """Return each robot's distance (or lower bound): its PLR at the leading coordinates of its configuration."""
         if q.ndim != 3 or q.shape[1] != len(self.plrs):
             raise ValueError(f"Joint configurations must have shape (n, {len(self.plrs)}, dof), got {q.shape}.")
         for i, plr in enumerate(self.plrs):

@@ -66,7 +66,10 @@ class Cells(Rows):
         return domain.at(lo), domain.at(hi)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Return corners of boxes with all points that a 32-bit query, by rounding, may assign to each cell."""
+        """Return the lower and upper corners of boxes that enclose the cells with a margin for rounding.
+
+        The margin covers all points that a 32-bit query, by rounding, may assign to a cell.
+        """
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
@@ -175,7 +178,7 @@ def tree_of(cells: Cells) -> Tree:
 
 
 def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
-    """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
+    """Build a tree from the split axes of its nodes, an array for each level; -1 instead of an axis marks a leaf."""
     child = np.full(sum(map(len, axes)), -1)
     cells = Cells.root(dim)  # of a level
     levels, splits, first = [], [], 0  # the first node of a level

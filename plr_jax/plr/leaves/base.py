@@ -72,7 +72,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
-        """Return the value at the point ``x[i]`` of each leaf ``i``, the box from ``lo[i]`` to ``hi[i]``."""
+        """Return the value of the function of leaf ``i``, the box from ``lo[i]`` to ``hi[i]``, at point ``x[i]``."""
 
     @abstractmethod
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:

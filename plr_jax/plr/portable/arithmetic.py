@@ -126,7 +126,7 @@ class Program:
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """Round points to 32 bits; in a domain far from 0, subtract its lower corner first."""
+        """Return the points; in a domain far from 0, subtract its lower corner and round to 32 bits."""
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:

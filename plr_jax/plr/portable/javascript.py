@@ -46,7 +46,10 @@ class JavaScriptEmitter(Emitter):
 
 
 class _ConesFromTables(Program):
-    """A query of any file of cones: the constants of a file are JavaScript variables such as ``scale0``."""
+    """The query of a file of cones that is read when the JavaScript runs.
+
+    JavaScript variables such as ``scale0`` take the place of the constants of the file.
+    """
 
     def __init__(self) -> None:
         # 1. A placeholder: two leaves, which are halves of the unit square.
@@ -156,7 +159,8 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
     def value(if_nan: str, if_outside: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
-        # An emitter of the code that computes the value, the value, and the point minus the domain's corner.
+        # Return an emitter with the code that computes the value, the expression of the value, and the expressions of
+        # the point minus the domain's corner.
         do = JavaScriptEmitter()
         outside = [f"return {do.nan_condition(dim)} ? {if_nan} : {if_outside};"]
         offsets, numbers = do.write_lookup(program, "double", read_leaf, outside)

@@ -87,9 +87,10 @@ class LeafTable:
     def _descend(
         self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
     ) -> None:
-        """Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``.
+        """Descend the tree from the node ``code[i]`` of each point toward the leaf that contains the point, in place.
 
-        ``code`` has a node for each point, as in :class:`CodedTree`.
+        Nodes are coded as in :class:`CodedTree`. ``fractions`` has the points' coordinates, an array for each axis.
+        The descent stops at nodes that are split along an axis already halved ``bits[axis]`` times.
         """
         # A split of depth d along its axis leads to the child given by bit d of the fraction, the highest bit first.
         moving = np.flatnonzero(code & self.kind_mask != self.tree.dim)
@@ -304,9 +305,9 @@ class NumpyPLR:
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        """Return ``query`` at one point, or at each of 1 to 8 rows of an array, in a list.
+        """Return ``query(*x)`` for a single point ``x``, or the list of these results for an array of 1 to 8 points.
 
-        Return None for other input, and if ``query`` returns None at a point.
+        Return None for any other input, and if ``query`` returns None at a point.
         """
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
@@ -364,7 +365,10 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Return the value at the domain's nearest point plus the distance to it; ``inf`` for points not finite."""
+        """Return, for points outside the domain, the value at its nearest point plus the distance to that point.
+
+        The answer is ``inf`` if a coordinate is not finite.
+        """
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)

@@ -99,7 +99,7 @@ class Emitter(Operations, ABC):
         self.statements: list[str] = []
 
     def atom(self, text: str, of_type: str = "float") -> Expression:
-        """Wrap source text, such as a name or a call, that never needs parentheses."""
+        """Return source text that never needs parentheses, such as a name or a call, as an expression."""
         return Expression(text, _ATOM, of_type, self)
 
     def constant(self, value: Any) -> Expression:
@@ -189,7 +189,7 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
-    """Return lines with the entries of an initializer in C or JavaScript, each followed by a comma."""
+    """Return the entries of a C or JavaScript initializer, each followed by a comma, as lines of limited width."""
     lines = [""]
     for entry in entries:
         if len(lines[-1]) + len(entry) > _WIDTH:

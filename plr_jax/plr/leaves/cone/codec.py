@@ -39,7 +39,10 @@ CUT_OFF = -2  # instead of a leaf's source: the goal cannot be reached from the 
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (corners, goals) as in a file: fine ones, then ones on the lattice, sorted by coordinates."""
+    """Apexes of cones (corners, goals) as in a file: first *fine* ones, which are not on the map's lattice of points.
+
+    Fine apexes and apexes on the lattice are each sorted by their coordinates.
+    """
 
     num_fine: int  # size of the first group: sources that are not on the map's lattice
     exponent: int  # coordinates in the first group are multiples of 2**exponent
@@ -143,7 +146,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return which points are off the lattice of multiples of ``1 / n``: a column for each ``n`` in ``_LATTICES``."""
+    """Return whether each point has a coordinate that is no multiple of ``1 / n``, for each ``n`` in ``_LATTICES``."""
     # A coordinate x is on the lattice if |n x - round(n x)| <= n * rounding. This tolerance is a little more than the
     # rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
@@ -155,8 +158,8 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:
-    # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples. A coordinate
-    # of these counts _FINE_BITS bits, any other coordinate log2(n).
+    # Return the n for which all coordinates take the fewest bits, and which sources are off the lattice of multiples
+    # of 1 / n. A coordinate of a source off the lattice counts _FINE_BITS bits, any other coordinate log2(n).
     fractions = _LATTICES[2.0**-exponent > _LATTICES]  # lattices with larger steps than those of fine sources
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
@@ -214,7 +217,8 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
         recent.insert(0, apex)
     rank = np.zeros(len(source), np.int64)
     rank[changes] = ranks
-    # 2. Is it 0, for all leaves; is it 1, for the leaves left; is it 2, for the leaves left; then what is left.
+    # 2. Write a bit for each leaf: whether its rank is 0. Then, for leaves of higher rank: whether it is 1. And so on
+    # up to rank _ESCAPE - 1. Then write the other ranks as codes.
     for low_rank in range(_ESCAPE):
         body.write((rank == low_rank).astype(np.int64), 1)
         rank = rank[rank > low_rank]
@@ -260,7 +264,10 @@ def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, " roots"]:
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "count dim"]:
-    """Decode the coordinates of sources in lattice steps; the first coordinates are stored as differences."""
+    """Decode the coordinates of ``count`` sources, in lattice steps.
+
+    Along the first axis, the file has differences of successive coordinates.
+    """
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
@@ -298,7 +305,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 class ConeFiles:
-    """An encoder of cone leaves that computes file sizes; apexes are ``sources``, obstacle corners and goals."""
+    """An encoder of cone leaves that computes file sizes; ``sources`` are the possible apexes, corners and goals."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain

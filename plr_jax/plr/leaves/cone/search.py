@@ -1,7 +1,7 @@
 """Find the best partition into cone leaves, functions ``offset + |x - source|``, for one goal and a file's limits.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. The price per leaf is found at which the tree of least error plus prices fills the file (``best_cones_of_goal``).
+2. A search finds the price per leaf at which the tree of least error plus prices fills the file (``PriceSearch``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 

@@ -79,7 +79,7 @@ class _GoalTree:
         return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
 
     def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
-        """Return the leaves of the tree that the first ``num_splits`` splits, by decreasing key, create.
+        """Return the leaves of the tree of the first ``num_splits`` splits in the order of falling keys.
 
         Leaves are indices of ``nodes``, from left to right.
         """
