@@ -83,7 +83,7 @@ class _Targets:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
-        """Return, for each leaf of the PLR, a lower and an upper error bound that suffice for its file.
+        """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.
 
         See ``SufficientFn`` in ``certificate.py`` for the arguments.
         """

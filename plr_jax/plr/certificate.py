@@ -400,7 +400,7 @@ class Certificate:
 
 
 def write_proof(body: BitWriter, certificate: Certificate | None, straight: StraightBound | None) -> Proof:
-    """Encode error bounds and a straight-line bound, and return the kind of proof that the file's header names."""
+    """Append error bounds and a straight-line bound to a file's body; return the kind of proof, for its header."""
     if certificate is None:
         if straight is None:
             return Proof.NONE

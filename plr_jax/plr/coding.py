@@ -157,7 +157,7 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, " n"]:
-        """Read a subset of ``range(size)``: whether each number is a member."""
+        """Read a subset of ``range(size)``, and return whether each number is a member."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member

@@ -97,7 +97,7 @@ class Folding:
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
 
     def unfold(self, z: Points) -> Points:
-        """Return points that the mirrors map to ``z``, each inside the domain if possible."""
+        """For each folded point ``z``, return a point that the folding maps to it, inside the domain if possible."""
         images = self.images(z)
         x, is_inside = next(images)
         while not is_inside.all() and (image := next(images, None)):  # most points need no further image

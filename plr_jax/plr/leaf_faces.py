@@ -57,7 +57,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
 
 
 def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, " n"]:
-    """Return whether cells ``i`` of ``a`` and ``j`` of ``b`` overlap along ``axis``."""
+    """Return, for each ``k``, whether cell ``i[k]`` of ``a`` and cell ``j[k]`` of ``b`` overlap along ``axis[k]``."""
     # One interval then contains the other: both have the same position at the lower one of their depths.
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)

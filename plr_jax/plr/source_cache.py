@@ -26,7 +26,7 @@ class SourceCache:
         self.remember(Cells.root(2), root)
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
-        """Add the sources of ``cells`` to the cache; ``visible`` has them."""
+        """Add cells to the cache. ``visible`` has their sources, the corners to which paths may go first."""
         hashes = np.append(self._hashes, cells.hashes())
         part = np.full(len(cells), len(self._parts))
         place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
@@ -35,7 +35,10 @@ class SourceCache:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells; each cell must be cached, or be half of a cached cell and is then cached."""
+        """Return the *sources* of cells: the corners (or the goal) to which shortest paths from a cell may go first.
+
+        Each cell must be cached, or be half of a cached cell; it is then cached.
+        """
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # 1. Find the whole of each new cell: the cached cell along the first axis if there is one, else along the
@@ -53,7 +56,10 @@ class SourceCache:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
-        """Return the sources of a tree's leaves; if some are not cached, compute them from the domain downward."""
+        """Return the *sources* of a tree's leaves: the corners (or the goal) to which paths from a leaf may go first.
+
+        If some leaves are not cached, compute their sources from those of the domain downward.
+        """
         if not self._knows(tree.leaves).all():
             nodes = np.zeros(1, np.int64)  # of a level; `visible` has their sources
             visible = self.sources(Cells.root(2))

@@ -70,7 +70,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` has entry ``[i, j]`` of all points."""
+    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads entry ``[i, j]`` of each."""
 
     flat: Array
     shape: tuple[int, ...]  # of each point's array

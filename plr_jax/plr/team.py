@@ -19,7 +19,7 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A function that maps joint configurations to each robot's distance, or a lower bound of it, by its PLR."""
+    """A function that evaluates one PLR per robot: it maps joint configurations to distances, or to lower bounds."""
 
     plrs: tuple[Any, ...]  # a PLR for each robot
     bands: Bands  # arguments of :func:`bounds_of_tables` for a robot's lower bound; None for its distance

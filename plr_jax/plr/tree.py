@@ -86,7 +86,7 @@ class Cells(Rows):
         return x
 
     def hashes(self) -> UInt64[np.ndarray, " cells"]:
-        """Return a hash of each cell's depths and positions; equal hashes count as equal cells."""
+        """Return a 64-bit hash of each cell's depths and positions. Cells with equal hashes are taken for equal."""
         numbers = (np.int64(1) << self.depth) + self.position  # 1 is the whole axis, 2 and 3 are its halves
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:

@@ -23,7 +23,7 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Operations:
-    """Operations of a query on NumPy values, besides arithmetic and comparisons; code generators override them."""
+    """Operations of a query besides arithmetic and comparisons, on NumPy values; code generators override them."""
 
     def let(self, name: str, value: Value) -> Value:
         """Return the value; a generator of code assigns the value to a new variable instead."""
@@ -110,7 +110,8 @@ class Program:
     def contains(self, do: Operations, x: Point) -> Value:
         """Return whether points are in the domain; False for NaN.
 
-        64-bit points must be wrapped before and, unless the domain is far from 0, rounded to 32 bits.
+        64-bit points must have passed :meth:`wrap_in_double` and, unless the domain is far from 0, be rounded to 32
+        bits.
         """
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
@@ -133,7 +134,11 @@ class Program:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Fold and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
+        """Return points from :meth:`relative` minus the lower corner of the leaves' domain.
+
+        Before the subtraction, mirror symmetries are applied to the points, and they are moved into the domain along
+        periodic axes.
+        """
         x = list(x)
         if self.folding_arrays is not None:
             # 1. Center, rotate, mirror behind each pivot, clip.

@@ -120,7 +120,7 @@ class _CompactWriter:
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
-        """Append rows of integers; each of ``parts`` is some columns of the rows, and the bits of each number."""
+        """Append rows of integers; each part is a pair of some columns of the rows and the bits of their numbers."""
         widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
         rows = np.concatenate([columns for columns, _ in parts], axis=1)
         self.body.write(rows.ravel(), np.tile(widths, len(rows)))
@@ -327,7 +327,7 @@ class _Middles:
         """Choose, for each record of 16 splits, the bits of a ``narrow`` number for which the record is smallest.
 
         A ``wide`` number takes twice as many bits. Edges whose ``narrow`` number does not fit are stored wide: their
-        ``mark`` changes from 1 to 2, in place.
+        ``mark`` changes from 1 to 2, in place. A comment at the class explains these numbers.
         """
         narrow_bits = 1 + np.frexp(np.abs(self.narrow))[1]
         wide_bits = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)

@@ -146,7 +146,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return whether each point has a coordinate that is no multiple of ``1 / n``, for each ``n`` in ``_LATTICES``."""
+    """Return whether each point has a coordinate that is no multiple of ``1 / n``, for all ``n`` in ``_LATTICES``."""
     # A coordinate x is on the lattice if |n x - round(n x)| <= n * rounding. This tolerance is a little more than the
     # rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
@@ -174,7 +174,7 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    """Write the sources: coordinates in steps of two lattices; for roots, offsets; for other sources, parents."""
+    """Write the sources: coordinates in steps of two lattices, then offsets of roots and parents of all others."""
     fine, others = np.split(sources.code, [sources.num_fine])
     exponent, fraction = sources.exponent, sources.fraction
     groups = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, fraction, fraction)

@@ -185,7 +185,7 @@ Indices: TypeAlias = Int[np.ndarray, " options"]
 def option_errors(
     goal: GoalSamples, start: Indices, offset: Int[np.ndarray, " k"], source: Indices, shortfall: float = np.inf
 ) -> Float[np.ndarray, "3 options"]:
-    """Compare options, each a box and the cone of a source in the box, with the distances at samples of the box.
+    """Compute the errors of *options* at samples: an option is a box with the cone of a source.
 
     Option ``i`` has the samples ``start[i] + offset`` and the source ``source[i]``. Rows of the result: the weighted
     sum of errors; the largest error; and the weight of samples that a wall hides from the source. These are samples

@@ -199,7 +199,10 @@ class LeafOptions(NamedTuple):
 
 
 def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " selected"]) -> ConeBoxes:
-    """Return boxes by their numbers, which count the boxes of the first level, then of the second, and so on."""
+    """Return the boxes with the given numbers, in the given order.
+
+    Numbers count the boxes of the first level from 0 on, then the boxes of the second level, and so on.
+    """
     first_number = np.cumsum([0, *(len(boxes_of_level.source) for boxes_of_level in levels)])
     level = np.searchsorted(first_number, number, side="right") - 1
     used_levels = np.unique(level) if len(level) else [0]

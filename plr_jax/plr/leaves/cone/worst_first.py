@@ -40,7 +40,10 @@ _FULL = 0.99  # used share of the limits at which a tree is large enough
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
-    """The nodes of the trees of several goals: the equal boxes of step 1, and the halves of nodes."""
+    """The nodes of the trees of several goals, one node in each row.
+
+    A node is one of the equal boxes into which the domain is cut first, or half of another node.
+    """
 
     goal: Int[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # number of the node of which this one is a half; -1 for the boxes of step 1
@@ -87,7 +90,7 @@ class _GoalTree:
         return leaf[np.argsort(self.nodes.path[leaf])]
 
     def used_share(self, num_splits: int) -> float:
-        """Return the share of the limits that the tree of the first splits takes; above 1 if it exceeds them."""
+        """Return the share of the limits that the first ``num_splits`` splits need; above 1 if they exceed them."""
         source, limits = self.nodes.source[self.leaves(num_splits)], self._limits
         num_bytes = self._files.num_bytes(source, limits) if np.isfinite(limits.max_bytes) else 0
         return max(len(source) / limits.max_leaves, num_bytes / limits.max_bytes)
@@ -114,9 +117,9 @@ class _GoalTree:
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
-        """Return the tree of the first ``num_splits`` splits, below the equal boxes of step 1.
+        """Return the tree of the first ``num_splits`` splits.
 
-        ``axes_above`` has the split axis of each level above these boxes.
+        Above them are the levels that cut the domain into equal boxes; ``axes_above`` has the axis of each level.
         """
         axis = np.where(self._split_rank < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))  # level by level, from left to right
@@ -137,8 +140,8 @@ class _Search:
     def num_splits(self, tree: _GoalTree) -> int | None:
         """End the search: return the number of splits of the largest tree within the limits.
 
-        If all splits of ``tree`` are within the limits and nodes are left to halve, lower the threshold instead, and
-        return None.
+        If all splits of ``tree`` are within the limits and nodes are left to halve, go on instead: lower the error
+        above which nodes are halved (``threshold``), and return None.
         """
         share = tree.used_share(tree.num_splits)
         if share > 1 or not tree.largest_open_key:
