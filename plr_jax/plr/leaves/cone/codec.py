@@ -158,8 +158,8 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:
-    # Return the n for which all coordinates take the fewest bits, and which sources are off the lattice of multiples
-    # of 1 / n. A coordinate of a source off the lattice counts _FINE_BITS bits, any other coordinate log2(n).
+    # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples. A coordinate
+    # of these counts _FINE_BITS bits, any other coordinate log2(n).
     fractions = _LATTICES[2.0**-exponent > _LATTICES]  # lattices with larger steps than those of fine sources
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
@@ -217,8 +217,7 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
         recent.insert(0, apex)
     rank = np.zeros(len(source), np.int64)
     rank[changes] = ranks
-    # 2. Write a bit for each leaf: whether its rank is 0. Then, for leaves of higher rank: whether it is 1. And so on
-    # up to rank _ESCAPE - 1. Then write the other ranks as codes.
+    # 2. Is it 0, for all leaves; is it 1, for the leaves left; is it 2, for the leaves left; then what is left.
     for low_rank in range(_ESCAPE):
         body.write((rank == low_rank).astype(np.int64), 1)
         rank = rank[rank > low_rank]
