@@ -476,7 +476,7 @@ def from_bytes(data: bytes) -> PLR:
     """Decode a PLR from the result of :meth:`PLR.to_bytes`; it gives the same answers, bit for bit.
 
     ``ValueError`` if the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
-    floats, or the file's lookup tables would be far larger than those of usual files of its size.
+    floats, or the lookup tables would be far larger than usual for a file of this size.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")

@@ -117,7 +117,7 @@ def _pages(
     page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
     for level, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
-        # 1. Leaves that the level resolves fill whole entries: those that are not deeper than its `end` grid, but
+        # 1. Leaves that the level resolves fill whole entries. Such leaves are not deeper than its `end` grid, but
         #    deeper than its `begin` grid, except in the first level.
         is_resolved = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (level == 0))
         resolved = cells[is_resolved]
@@ -163,7 +163,7 @@ class _SameShapeGroup:
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
-        # 1. Share the arrays of domains and symmetries that are equal; flatten the others.
+        # 1. Keep one array of domains and symmetries where all PLRs have equal arrays; else join and flatten them.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
         arrays, shapes = [], []
         for column in (list(map(np.asarray, column)) for column in columns):
@@ -236,7 +236,7 @@ class PLRStack:
             outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:
-            Distances, in the broadcast shape of index and batch, equal up to rounding to those of the single PLRs;
+            Distances, in the broadcast shape of index and batch, equal to the single PLRs' distances up to rounding;
             NaN for indices that are negative or too large.
 
         Raises:

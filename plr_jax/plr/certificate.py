@@ -185,8 +185,8 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             is_open = open_pieces(True)
         if not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
             break
-        # 5. Halve the open pieces. The others count at once if attained errors enclose their bounds, so that they can
-        #    never be open; else they are put aside.
+        # 5. Halve the open pieces. A piece that is not open counts at once if attained errors enclose its bounds, so
+        #    that it can never be open; else it is put aside.
         rounds[np.unique(leaf[is_open])] += 1
         is_final = (below >= least[leaf] - slack) & (above <= most[leaf] + slack)
         np.minimum.at(lower, leaf[is_final], below[is_final])

@@ -254,8 +254,8 @@ def enclosing_planes(
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
-    # Differentiate along all axes where ``derivative`` is 1. Basis functions are products of functions of one axis
-    # each: by axis, multiply the values so far, by corner and kind, with those of the axis.
+    # Differentiate along all axes where ``derivative`` is 1. A basis function is a product of functions of one axis
+    # each: axis by axis, multiply the values so far, by corner and kind, with the values of the axis's functions.
     _, kinds, num_powers = _BASIS_1D[order].shape
     n, powers = len(t), np.arange(num_powers)
     values = np.ones((n, 1, 1))

@@ -58,7 +58,7 @@ class SourceCache:
     def sources_of_leaves(self, tree: Tree) -> CellSources:
         """Return the *sources* of a tree's leaves: the corners (or the goal) to which paths from a leaf may go first.
 
-        If some leaves are not cached, compute their sources from those of the domain downward.
+        If some leaves are not cached, their sources are computed from the sources of the domain, level by level.
         """
         if not self._knows(tree.leaves).all():
             nodes = np.zeros(1, np.int64)  # of a level; `visible` has their sources

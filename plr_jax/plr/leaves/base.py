@@ -149,7 +149,8 @@ class LinearLeafModel(LeafModel):
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
-        # The same at u = +-(1, 0, ...), +-(0, 1, ...), ... and u = 0, by products with basis(u).
+        # As in the base class, from the values at u = +-(1, 0, ...), +-(0, 1, ...), ... and u = 0: products with
+        # basis(u).
         ends = np.eye(lo.shape[1])
         half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
         return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
@@ -180,7 +181,7 @@ def check_limits(
         as_finite("tolerance", tolerance)
     if tolerance is None and all(value is None for value in counts.values()):
         max_leaves = DEFAULT_MAX_LEAVES
-    # 2. The smaller one of the sizes that the bytes and the leaves allow limits the lookup tables.
+    # 2. The lookup tables depend on the file's size: take the smaller of the sizes that the bytes and leaves allow.
     max_bytes = None if max_bytes is None else int(max_bytes)
     sizes = (max_bytes, None if max_leaves is None else model.bytes_without_budget(dim, int(max_leaves)))
     table_class = min((byte_class(size) for size in sizes if size is not None), default=None)

@@ -106,7 +106,7 @@ class FaceTests:
         is_free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
         is_free[known] = self._free[known_before]
         is_new[known] = False
-        # 2. Test the others at pairs of points, one on either side of the face, first at few pairs:
+        # 2. Test all other faces at pairs of points, one on either side of the face, first at few pairs:
         #      below . | . above        distances at both are finite: the face is free
         # Places are fractions of a face; face_points ignores the coordinate along the face's axis.
         places = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
@@ -210,8 +210,8 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
 _MOST_SPLIT = 0.5  # largest share of the leaves that are split
 _LEAST_SPLIT = 1 / 32  # least share of the leaves that are split
 _FEW_LEAVES = 1 / 32  # of the splits that the limits allow: fewer leaves than these are all split
-# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: last rounds that
-# split many leaves would leave some of them with several times the error of the others.
+# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: if the last round
+# split many leaves, some leaves would keep several times the error of other leaves.
 _SHARE_OF_ALLOWED = 0.4
 _WORTH_A_ROUND = 1 / 50  # growth ends if the byte limit has room for fewer than one split per 50 leaves
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.

@@ -143,8 +143,8 @@ class Plane(LinearLeafModel):
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, parent_key, priority, np.asarray(rules.split(fit)), limits)
 
-        # 2. The bits per value decide the size of a file and its rounding errors: these have, at u, the variance
-        # step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
+        # 2. The bits per value decide the size of a file and its rounding errors. At u, the rounding error has the
+        # variance step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

@@ -90,7 +90,7 @@ class Program:
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
-        # 2. Parameters of leaves; those of polynomials begin with the numbers of the leaf's cell, which are left out.
+        # 2. Parameters of leaves, without the numbers of the leaf's cell with which parameters of polynomials begin.
         domain_of_leaves, numbers = relative_to_origin(contents, origin)
         self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(domain_of_leaves)

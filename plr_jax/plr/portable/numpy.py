@@ -65,7 +65,7 @@ class LeafTable:
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
         bits = spread_bits(deepest, _MOST_BITS)
         place = np.indices((1 << bits).tolist()).reshape(tree.dim, -1) << (FRACTION_BITS - bits)[:, None]
-        # 2. The table has the deepest node that contains each cell of the grid; it is flat if all these are leaves.
+        # 2. The table has the deepest node that contains each cell of the grid; it is flat if all nodes are leaves.
         self.table = np.full(place.shape[1], tree.root, tree.code_type)
         self._descend(self.table, list(place), bits)
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind_mask == tree.dim).all())
@@ -186,18 +186,20 @@ def point_query(
 class NumpyPLR:
     """A PLR that is queried without JAX; made by :func:`load_numpy` or :meth:`PLR.numpy`.
 
-    ``f(x)`` is the distance at points ``(..., dim)``. Results equal those of C headers (:meth:`PLR.c_header`) bit for
-    bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are rounded to 32 bits; before that,
-    64-bit points are wrapped and, in a domain far from the origin, shifted. With ``jax_enable_x64``, ``plr(x)``
-    computes in 64 bits for 64-bit points, so that answers differ by the rounding of this class.
+    ``f(x)`` is the distance at points ``(..., dim)``. Points are rounded to 32 bits; before that, 64-bit points are
+    moved into the domain along periodic axes and, in a domain far from the origin, made relative to its lower corner.
 
-    A single point, as a tuple, list or array, takes a few microseconds, as does each point of an array of at most
-    eight. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Bounds, points around
-    periodic axes, and points outside with ``outside`` other than ``"inf"`` take up to a few hundred microseconds per
-    call.
+    Answers equal the answers of C headers (:meth:`PLR.c_header`) bit for bit. On a CPU, they equal ``plr(x)`` bit for
+    bit, except for numbers below 1e-38. With ``jax_enable_x64``, ``plr(x)`` computes in 64 bits for 64-bit points, so
+    that answers differ by the rounding of this class.
 
-    ``dim``, ``domain``, ``num_leaves`` and ``max_error`` are those of the :class:`PLR`. Answers are float32, except
-    that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
+    A single point, as a tuple, list or array, takes a few microseconds, and so does each point of an array of at most
+    eight points. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Bounds, points that
+    must be moved along periodic axes, and points outside the domain with ``outside`` other than ``"inf"`` take up to
+    a few hundred microseconds per call.
+
+    ``dim``, ``domain``, ``num_leaves`` and ``max_error`` equal the attributes of the :class:`PLR`. Answers are
+    float32, except that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
     """
 
     def __init__(self, data: bytes):
