@@ -54,8 +54,8 @@ def construct_many(
     - If ``certified``, the leaves of largest proven error are halved until files are full. ``plr.max_error`` and the
       gaps between bounds are mostly smaller than those of :func:`construct`; mean errors may be several times larger.
 
-    All other PLRs are built one by one with :func:`construct`. These include cones of a family if a tolerance or
-    options other than the executor are given, if the limits allow more than about 8,000 leaves, or if a part of free
+    All other PLRs are built one by one with :func:`construct`. So are cones of a family in three cases: a tolerance
+    or options other than the executor are given; the limits allow more than about 8,000 leaves; or a part of free
     space cannot reach the goal.
 
     Args:

@@ -128,8 +128,9 @@ class PLR(FileBacked):
     def tables_and_points(self, x: Array | np.ndarray) -> tuple[Tables, Array | np.ndarray]:
         """Return the lookup tables for a query at points ``x``, and the points in the form that these tables take.
 
-        NumPy's 64-bit points are moved into the domain along periodic axes and, in a domain far from the origin, made
-        relative to its lower corner, before compiled code rounds them to 32 bits. Other points are unchanged.
+        Compiled code rounds points to 32 bits. Before that, this method moves NumPy's 64-bit points into the domain
+        along periodic axes and, in a domain far from the origin, makes them relative to its lower corner. Other
+        points are unchanged.
         """
         is_double = not isinstance(x, jax.Array) and x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,)
         if not is_double or isinstance(self.file, Tracer):

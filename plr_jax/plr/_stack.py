@@ -1,7 +1,7 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
 A stack finds a point's leaf in a *trie*, level by level. The tables of the trie, *pages*, have an entry for each cell
-of a grid: the first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
+of a grid. The first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
 An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i`` to row ``i`` of the
 leaf parameters. The first ``num_rows`` entries refer to themselves: entry ``i`` is ``2 * i``. So once a row is found,
 reading further levels does not change it::

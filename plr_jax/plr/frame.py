@@ -38,7 +38,7 @@ OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
 def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
     """Return how often each *block* must be halved along each axis until each resulting cell lies in one leaf.
 
-    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis; row ``i`` of the result is for
+    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis. Row ``i`` of the result is for
     the block with the row-major index ``i``. ``cells`` are the leaves.
     """
     below = np.maximum(cells.depth - block_bits, 0)
@@ -56,9 +56,9 @@ def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
 def slots_in_blocks(cells: Cells, block_bits: PerAxis, shape: PerBlock) -> tuple[Pairs, Pairs, OfPairs, OfPairs]:
     """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
 
-    The results are, for each pair, the index of the leaf, the row-major index of the block, and the first cell and
-    the number of cells of the overlap along each axis, in the finer grid of this block. The coarse grid has
-    ``2**block_bits`` cells along each axis. The finer grid of block ``i`` has ``2**shape[i]`` (:func:`block_shapes`).
+    The coarse grid has ``2**block_bits`` cells along each axis. The finer grid of block ``i`` has ``2**shape[i]``
+    (:func:`block_shapes`). For each pair, return the index of the leaf and the row-major index of the block. Also
+    return the overlap in the finer grid of this block: its first cell, and its number of cells along each axis.
     """
     #   position of a leaf along an axis, in binary   | block | `below` bits |
     #   its first slot in the block                           | `below` bits | zeros |      `shape` bits

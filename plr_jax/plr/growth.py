@@ -1,8 +1,8 @@
 """Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
-Each round splits many leaves at once; splits beyond the limits are undone at the end, so that the tree is the same as
-if a priority queue split one leaf at a time (:func:`split_order` tells why). A byte budget also determines the number
-of bits of each coefficient.
+Each round splits many leaves at once. Splits beyond the limits are undone at the end. So the tree is the same as if a
+priority queue split one leaf at a time (:func:`split_order` tells why). A byte budget also determines the number of
+bits of each coefficient.
 """
 
 import os
@@ -238,8 +238,8 @@ def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
 def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
-    Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of another side (in fractions
-    of the domain), are chosen only if all axes are like this: then axis 0.
+    Two kinds of axes are excluded: axes at the depth limit, and axes along which the halves would be shorter than 1/8
+    of another side, in fractions of the domain. If all axes are excluded, return axis 0.
     """
     cost = _sum_of_squares_after_split(fit)
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)

@@ -95,10 +95,10 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"], most_weights: int) -> "csr_array":
     """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
 
-    Each row is an equation, and is solved for one of its variables: the variable of the highest ``level`` (a number
-    given for each variable), of several the one with the largest absolute weight, of several the first.
-    ``ValueError`` if this takes more than ``most_weights`` additions. ``rows`` is modified: weights up to ``ZERO``
-    become 0.
+    Each row is an equation, and is solved for its variable of the highest ``level``, a number given for each
+    variable. Among several such variables, the one with the largest absolute weight is chosen; among equal weights,
+    the first. ``ValueError`` if this takes more than ``most_weights`` additions. ``rows`` is modified: weights up to
+    ``ZERO`` become 0.
     """
     from scipy.sparse import csr_array
 

@@ -37,8 +37,8 @@ class Rows:
 class Cells(Rows):
     """Dyadic cells of a domain.
 
-    Along an axis on which the domain reaches from ``lo`` to ``hi``, a cell is the interval from ``lo + (hi - lo) *
-    position / 2**depth`` to ``lo + (hi - lo) * (position + 1) / 2**depth``.
+    Along each axis, a cell reaches from ``position / 2**depth`` to ``(position + 1) / 2**depth``, in fractions of the
+    domain (0 at its lower end, 1 at its upper end).
     """
 
     depth: Int[np.ndarray, "cells dim"]

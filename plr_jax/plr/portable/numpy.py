@@ -111,8 +111,8 @@ def point_query(
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
     ``numbers`` are the parameters of all leaves. The function returns the distance, or the leaf's index if
-    ``of_leaf``. It returns None if the query of arrays must answer: for NaN, for a point that must be wrapped along a
-    periodic axis, and if rounding decides whether the point is inside the domain.
+    ``of_leaf``. It returns None where the query of arrays must answer instead: for NaN, for a point that must be
+    moved along a periodic axis, and where rounding decides whether the point is inside the domain.
     """
     # For example, for planes in the unit square:
     #

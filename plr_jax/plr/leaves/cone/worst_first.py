@@ -140,8 +140,8 @@ class _Search:
     def num_splits(self, tree: _GoalTree) -> int | None:
         """End the search: return the number of splits of the largest tree within the limits.
 
-        If all splits of ``tree`` are within the limits and nodes are left to halve, go on instead: lower the error
-        above which nodes are halved (``threshold``), and return None.
+        If all splits of ``tree`` are within the limits and nodes are left to halve, go on instead, and return None:
+        ``threshold``, the error above which nodes are halved, is lowered.
         """
         share = tree.used_share(tree.num_splits)
         if share > 1 or not tree.largest_open_key:
