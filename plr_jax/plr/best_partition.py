@@ -36,7 +36,7 @@ UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes computed so far on one level: those that result from the domain by a certain number of halvings."""
+    """The boxes computed so far on one level, that is, after a certain number of halvings of the domain."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, " boxes"]  # hash of each box
