@@ -54,8 +54,9 @@ def construct_many(
     - If ``certified``, the leaves of largest proven error are halved until files are full. ``plr.max_error`` and the
       gaps between bounds are mostly smaller than those of :func:`construct`; mean errors may be several times larger.
 
-    All other PLRs are built one by one with :func:`construct`, also cones of a family if a tolerance is given, the
-    limits allow more than about 8,000 leaves, or some of free space cannot reach the goal.
+    All other PLRs are built one by one with :func:`construct`. So are cones of a family in three cases: a tolerance
+    or options other than the executor are given; the limits allow more than about 8,000 leaves; or a part of free
+    space cannot reach the goal.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -67,9 +68,9 @@ def construct_many(
         tolerance: As for :func:`construct`.
         certified: As for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`, except the ``executor``, such as Dask's ``Client.get_executor()``. Each of
-            its tasks builds up to 64 PLRs of a family or a single PLR. If a worker dies, threads of this process
-            build what is left. None: one thread per core.
+        options: As for :func:`construct`, except that workers of ``executor``, such as Dask's
+            ``Client.get_executor()``, build whole PLRs. Each task builds up to 64 PLRs of a family, or a single PLR.
+            If a worker dies, threads of this process build the missing PLRs. None: one thread per core.
 
     Returns:
         The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),
@@ -123,7 +124,11 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | WorstFirst | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build PLRs with ``task``, which shares work among oracles; build PLRs that it leaves out with ``alone``."""
+    """Return the bytes of the file of each oracle's PLR.
+
+    ``task`` builds the PLRs of several oracles together. ``alone`` builds a PLR that the task leaves out; without a
+    task, it builds all of them.
+    """
     if task is None:
         return [alone(oracle).to_bytes() for oracle in oracles]
     files: dict[int, bytes] = {}

@@ -1,9 +1,9 @@
-"""Find the tree of halved boxes that minimizes error plus a price per leaf, for leaves that are cones.
+"""Find the partition into cone leaves with the least error whose file is within limits, such as a number of bytes.
 
-Dynamic programming works upward from the smallest boxes. The price, the Lagrange multiplier of the limits of a file,
-is lowered, and more boxes are computed, until the best tree exceeds the limits. Then interpolation approaches the
-lowest price at which the tree is within the limits. Reference: Donoho, "CART and best-ortho-basis: a connection",
-Annals of Statistics 1997.
+For a price per leaf, dynamic programming finds the tree of halved boxes with the least error plus prices, upward from
+the smallest boxes. The price, the Lagrange multiplier of the limits, is lowered, and more boxes are computed, until
+the best tree exceeds the limits. Then interpolation approaches the lowest price at which the tree is within the
+limits. Reference: Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes found so far that result from the domain by a given number of halvings."""
+    """The boxes computed so far on one level, that is, after a certain number of halvings of the domain."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, " boxes"]  # hash of each box
@@ -51,7 +51,7 @@ class BoxLevel:
         return self.boxes.integral + weight * self.boxes.peak
 
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
-        """Return whether each box may be halved along each axis, but has not been halved yet."""
+        """Return, for each axis and box, whether the box may be halved along the axis but has not been so far."""
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -65,7 +65,10 @@ class BoxLevel:
 
 
 class TreeCosts(NamedTuple):
-    """The least cost of the trees into which each box may be split: the leaves' errors and a price per leaf."""
+    """For each box of a level, the least cost of a tree that has the box as its root.
+
+    The cost of a tree is the sum of its leaves' errors plus a price per leaf.
+    """
 
     best: Float[np.ndarray, " boxes"]  # of each box's best tree of computed boxes, possibly the box alone
     least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
@@ -88,7 +91,10 @@ class TreeCosts(NamedTuple):
 
 
 def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
-    """Return a cost that no tree below boxes of cost ``peak`` (weighted) is expected to undercut."""
+    """Return, for each box, the least cost that is expected of a tree that halves the box.
+
+    ``peak`` is the weighted largest error of each box, ``price`` the cost of a leaf beside its error.
+    """
     # The integral of the error may vanish, and m >= 1 more leaves divide the peak by D**m at best, with D =
     # _MOST_DROP. So trees cost at least the least (1 + m) price + peak D**-m. Leaf m + 1 is worth its price if
     #   peak D**-m (1 - 1/D) > price,
@@ -141,9 +147,9 @@ Halves: TypeAlias = Int[np.ndarray, " halves"]
 
 
 def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
-    """Halve boxes ``parent`` of a level along ``axis``: add their halves to the next level, unless it has them.
+    """Halve boxes ``parent`` of level ``depth`` along ``axis``: add the halves to the next level, unless it has them.
 
-    Both arrays have two equal entries for each halving, one for the lower half and one for the upper half.
+    ``parent`` and ``axis`` have two equal entries for each halving: one for the lower half, one for the upper half.
     """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
@@ -199,15 +205,15 @@ class PricedTree:
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of a leaf's peak in its cost, for trees of about ``num_leaves`` leaves."""
+    """Return the weight of a leaf's peak (largest error) in its cost, for trees of about ``num_leaves`` leaves."""
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
-    """The boxes of a level that a tree at the current or a lower price may contain."""
+    """The boxes of a level that the best tree at the current or a higher price per leaf may contain."""
 
-    box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
-    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
+    box: Int[np.ndarray, " own"]  # indices of the selected boxes in the level
+    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level, or UNKNOWN
 
 
 class PriceSearch:
@@ -234,7 +240,10 @@ class PriceSearch:
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
     def next(self, now: PricedTree) -> PricedTree | None:
-        """Search on, mostly at a lower price per leaf; return the next tree, or None if ``now`` is the last one."""
+        """Return the best tree at a lower price per leaf than the tree ``now``; None if ``now`` ends the search.
+
+        If the tree at the lower price exceeds the limits, return the largest tree found between both prices.
+        """
         if now.is_final:
             return None
         price, weight = self._next_price(now)
@@ -250,7 +259,7 @@ class PriceSearch:
         return sum(len(level.key) for level in self.levels)
 
     def _is_finest(self, tree: PricedTree, weight: float) -> bool:
-        """Return whether no leaf of positive cost may be halved."""
+        """Return whether no leaf of positive cost may still be halved, so that more boxes cannot improve the tree."""
         for level, boxes in zip(self.levels, tree.leaves, strict=False):
             if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
                 return False
@@ -278,7 +287,7 @@ class PriceSearch:
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:
-        """Return the best tree with the size of its file, if bytes are limited."""
+        """Return the best tree at a price per leaf. The size of its file is computed only if bytes are limited."""
         tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
@@ -287,7 +296,10 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
-        """Return the largest tree found that is within the limits, from tree ``fits`` on; ``beyond`` exceeds them."""
+        """Search the price between two trees, and return the largest tree found that is within the limits.
+
+        ``fits`` is a tree within the limits, ``beyond`` a tree at a lower price that exceeds them.
+        """
         # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
         # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
         largest = fits
@@ -306,7 +318,7 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, weight: float) -> None:
-        """Store the boxes that the best tree at this or a higher price may contain."""
+        """Store in ``_selected`` the boxes that the best tree at this or a higher price may contain."""
         # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
         # the root along all other halvings.
         nodes, selected = np.zeros(1, np.int64), []
@@ -324,7 +336,7 @@ class PriceSearch:
         self._selected = selected
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
-        """Return the tree of selected boxes with the least sum of leaves' costs and prices."""
+        """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``."""
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.

@@ -18,11 +18,11 @@ _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of th
 def classify_bounds(
     codes: Codes, bound_of_code: Float[np.ndarray, " codes"], volume: Float[np.ndarray, " leaves"], max_bits: int
 ) -> Codes:
-    """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
+    """Group leaves into classes that share error bounds, so that the bounds take at most ``max_bits`` bits in a file.
 
     ``codes`` encodes each leaf's own lower and upper bound; ``bound_of_code[i]`` is the bound that code ``i`` means.
-    ``volume`` has the leaves' volumes, the weights of the widths of their bounds. Return the codes of each leaf's
-    shared bounds.
+    Return the codes of the shared bounds, for each leaf. The sum over the leaves of ``volume`` times the width of
+    the shared bounds is kept small.
     """
     # A leaf's rank is the rank of the larger of its two codes. A class has all leaves of consecutive ranks. Dynamic
     # programming finds the classes of least sum of weighted widths plus a price per bit; bisection finds the lowest
@@ -114,10 +114,10 @@ def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """Decode the pair of codes (lower, upper) of each leaf.
+    """Decode the pair of codes (of the lower and the upper error bound) of each leaf.
 
-    The file lists all distinct pairs (classes), then, for each class in turn, which of the remaining leaves belong to
-    a later class.
+    The file lists all distinct pairs (classes). Then, for each class in turn, it states which of the remaining leaves
+    belong to a later class.
     """
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, CODE_BITS).reshape(2, count)

@@ -44,7 +44,10 @@ _GROWTH = 4  # the elimination of constraints may use this many times more weigh
 
 @dataclass(frozen=True, eq=False)
 class NodalSpace:
-    """A basis of the functions on leaves that are continuous across *tied* faces, but may jump at others."""
+    """A basis of the functions on the leaves of a tree that are continuous across *tied* faces.
+
+    They may jump at faces that are not tied.
+    """
 
     tree: Tree
     group: Int[np.ndarray, " nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
@@ -192,14 +195,18 @@ def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to the coefficients of all leaves' basis functions."""
+    """Return the matrix that maps the free degrees of freedom to the coefficients of all leaves, leaf by leaf.
+
+    The coefficients of a leaf belong to the basis functions of :func:`design`.
+    """
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
 def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
-    """Return the coefficients of planes: ``center`` is the value in the middle of a leaf.
+    """Return the coefficients of planes in the basis of :func:`design`, one plane in each row.
 
-    Along each axis, ``half`` is the change from there to the upper face.
+    ``center`` is the value in the middle of a leaf, ``half`` the change from the middle to the upper face along each
+    axis.
     """
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
@@ -213,7 +220,10 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
-    """Return each basis function's coefficients of all products of powers of ``t``, last axis fastest."""
+    """Return each basis function as a polynomial of the coordinates ``t``: one row of coefficients per function.
+
+    The columns are the products of powers ``t[0]**i * t[1]**j * ...``, with the exponent of the last axis fastest.
+    """
     table = reduce(np.kron, [_BASIS_1D[order]] * dim)  # by corner, kind of derivative, and product of powers
     return table.reshape(-1, table.shape[2])
 
@@ -221,10 +231,11 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 def enclosing_planes(
     order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
 ) -> tuple[Distances, Points, Distances]:
-    """Return value and gradient of leaves' polynomials at centers of boxes, and a bound of all other Taylor terms.
+    """Expand the polynomial of each leaf (in the plane) at the center of a box.
 
-    ``center`` and ``reach`` (the half-widths of boxes) are in local coordinates, from 0 to 1 across the leaf.
-    ``order`` is 0 for multilinear and 1 for cubic functions.
+    Return the value, the gradient, and an upper bound, over the box, of the absolute sum of all other Taylor terms.
+    ``center`` and ``reach`` (half of the box's width along each axis) are in local coordinates, from 0 to 1 across
+    the leaf. ``order`` is 0 for multilinear and 1 for cubic functions.
     """
     # In the plane, f = sum of P[p, q] x**p y**q = sum of Q[a, b] (x - cx)**a (y - cy)**b over the exponents. Beside
     # Q[0, 0], Q[1, 0] and Q[0, 1], each term is at most |Q[a, b]| * reach_x**a * reach_y**b.
@@ -243,8 +254,8 @@ def enclosing_planes(
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
-    # Differentiate along all axes where ``derivative`` is 1. Basis functions are products of functions of one axis
-    # each: by axis, multiply the values so far, by corner and kind, with those of the axis.
+    # Differentiate along all axes where ``derivative`` is 1. A basis function is a product of functions of one axis
+    # each: axis by axis, multiply the values so far, by corner and kind, with the values of the axis's functions.
     _, kinds, num_powers = _BASIS_1D[order].shape
     n, powers = len(t), np.arange(num_powers)
     values = np.ones((n, 1, 1))

@@ -1,4 +1,7 @@
-"""Use mirror symmetries of a distance function: a *folding* maps all points into one part of the domain."""
+"""Use mirror symmetries of a distance function: a *folding* maps all points into one part of the domain.
+
+A PLR of such a function then stores only this part.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -29,7 +32,10 @@ class Folding:
 
     @cached_property
     def pivots(self) -> tuple[int, ...]:
-        """A non-periodic axis for each mirror, reversed by no other; points on its negative side are mirrored."""
+        """The *pivot* of each mirror: a non-periodic axis that this mirror reverses and no other mirror does.
+
+        A mirror is applied to the points whose pivot coordinate is negative.
+        """
         alone = np.sum(self.mirrors, axis=0) == 1
         may_be = np.array(self.mirrors, bool).reshape(-1, self.domain.dim) & alone & ~np.array(self.domain.periodic)
         if not may_be.any(axis=1).all():
@@ -74,7 +80,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, " n"]]]:
-        """Yield, for each subset of mirrors, the points that it maps to ``z``, and which lie in the domain."""
+        """For each subset of the mirrors, yield the points that it maps to ``z``, and which lie in the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
@@ -91,7 +97,7 @@ class Folding:
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
 
     def unfold(self, z: Points) -> Points:
-        """Return points that the mirrors map to ``z``, each inside the domain if possible."""
+        """For each folded point ``z``, return a point that the folding maps to it, inside the domain if possible."""
         images = self.images(z)
         x, is_inside = next(images)
         while not is_inside.all() and (image := next(images, None)):  # most points need no further image
@@ -102,7 +108,10 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, " pieces"]]:
-        """Return the boxes of leaves and their mirror images: lower and upper corners, and the leaf's index."""
+        """Return the boxes of leaves and their mirror images in the domain, given the leaves' corners ``lo``, ``hi``.
+
+        The results are lower corners, upper corners, and the index of each box's leaf.
+        """
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "

@@ -1,9 +1,10 @@
 """Lookup tables that map a point to its leaf by bit arithmetic, without descending a tree.
 
-The highest bits of a point's position select an entry (*blocks* and *slots*: ``frame.py``). There are 3 layouts:
+The highest bits of a point's position along each axis select an entry. There are 3 layouts:
 
 - A *flat* table has one entry for each cell of a regular grid: the cell's leaf.
-- *Blocks*, where a flat table exceeds its size class: each block has its own grid of slots, and each slot an entry.
+- *Blocks*, where a flat table would be too large: each cell of a coarse grid, a block, has a finer grid of its own,
+  with an entry for each cell of it.
 - *Pages*, for small PLRs with deep trees: like blocks, but entries store leaf parameters instead of leaf indices,
   which saves a read.
 """
@@ -53,7 +54,7 @@ _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the 
 
 
 def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped[Array, "*batch"]:
-    """Return ``table[index]`` without a bounds check."""
+    """Return ``table[index]`` without a bounds check; all indices must be valid."""
     return table.at[index].get(mode="promise_in_bounds")
 
 
@@ -61,7 +62,7 @@ def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
-    # Entry 2 * i: row i of the leaf parameters; 2 * i + 1: the point's child table, which begins at entry i.
+    # An entry 2 * i leads to row i of the leaf parameters, an entry 2 * i + 1 to the child table that begins at i.
     entries: UInt32[Array, " entries"]
     bits: UInt32[Array, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
     start: UInt32[Array, "*batch"]  # first entry of one PLR, or of each point's PLR
@@ -69,7 +70,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads that entry for all points."""
+    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads entry ``[i, j]`` of each."""
 
     flat: Array
     shape: tuple[int, ...]  # of each point's array
@@ -119,7 +120,7 @@ class Blocks:
 def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], shift: PerAxis) -> Blocks:
     """Pack each block's data into words: log2 of its table's size by axis (``shape``) and the start (``offset``).
 
-    ``shift`` has the number of bits of a point's position below those of its block, by axis.
+    ``shift`` has, by axis, the number of bits of a point's position below the bits that identify its block.
     """
     #   first word  | start | ... | size of axis 1 | size of axis 0 |      `width` bits a size
     #   next word           | ... | size of axis k | size of axis k - 1 |  with axes that do not fit
@@ -138,9 +139,10 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], sh
 
 
 def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
-    """Choose how often a coarse grid halves each axis, so that its cells' lookup tables take the least memory.
+    """Choose how often a coarse grid halves each axis, so that the lookup tables of its cells take the least memory.
 
-    ``bits`` has the halvings of the finest leaves by axis. ``ValueError`` if all tables exceed ``max_entries``.
+    ``bits`` has the largest number of halvings of a leaf along each axis. ``ValueError`` if, for every such grid, the
+    tables have more than ``max_entries`` entries.
     """
     best, fewest = None, np.inf
     for most in range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum()))):
@@ -159,9 +161,10 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
 def leaves_of_slots(
     cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"]
 ) -> UInt32[np.ndarray, " slots"]:
-    """Return the leaf of each slot, table by table.
+    """Return the leaf in each entry of the lookup tables of all *blocks* (cells of a coarse grid), table by table.
 
-    ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their first entries.
+    ``shape`` has log2 of the size of each block's table along each axis. The table of block ``i`` has the entries
+    ``offset[i]`` up to ``offset[i + 1]``.
     """
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
@@ -194,8 +197,9 @@ def build_pages(
 ) -> tuple[Pages, PerAxis, UInt16[np.ndarray, " entries"], int] | None:
     """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
 
-    Return the pages, how often their grid halves each axis, the leaf in each entry, and the number of entries after
-    padding: one of ``entry_counts`` (ascending). Among coarse grids, choose the one whose table takes least memory.
+    Among coarse grids, choose the one whose table takes the least memory. Return the pages, how often the coarse grid
+    halves each axis, the leaf in each entry, and the number of entries after padding: one of ``entry_counts``
+    (ascending).
     """
     # 1. Choose the coarse grid. An index into a page has a field of `page_bits` bits for each axis, the last axis
     #    lowest, with `later_bits` bits below it. A page that is halved less often along an axis uses the highest
@@ -252,10 +256,11 @@ def build_pages(
 def _place_pages(
     shape: PerBlock, page_bits: PerAxis, later_bits: PerAxis, first_entry: int
 ) -> tuple[Int[np.ndarray, " blocks"], int]:
-    """Return where each block's page begins, and the end of all pages.
+    """Return the entry at which the page (lookup table) of each block begins, and the end of all pages.
 
-    A buddy allocator places pages by decreasing size, from entry ``first_entry`` on. ``later_bits`` has the number of
-    index bits of all later axes in the largest page.
+    A buddy allocator places pages by decreasing size, from entry ``first_entry`` on. ``shape`` has log2 of each
+    page's size by axis; a block of shape 0 has no page. ``page_bits`` is the shape of the largest page;
+    ``later_bits`` has, for each axis, the sum of the ``page_bits`` of all later axes.
     """
     # Pages interleave. Example: the largest page has 2 x 4 entries, with page_bits (1, 2) and later_bits (2, 0), so
     # an index has the bits `a b b`: one of axis 0, two of axis 1.
@@ -324,7 +329,10 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables whose queries first mirror points (given minus ``origin``) into the part the tree covers."""
+        """Return tables whose queries first mirror points into the folded domain, the part that the leaves cover.
+
+        Points are given minus ``origin``. Without a ``folding``, return these tables.
+        """
         if folding is None:
             return self
         domain = folding.domain.moved(-origin)
@@ -337,7 +345,10 @@ class Tables:
 def build_tables(
     domain: Box, cells: Cells, leaf_parameters: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Build lookup tables of leaf parameters; ``ValueError`` if the tables would be too large."""
+    """Build the lookup tables that map points to the parameters of their leaves, for a file of ``num_bytes`` bytes.
+
+    ``ValueError`` if the tables would be too large.
+    """
     size_class = byte_class(max(num_bytes, ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(size_class, leaf.least_bytes)
     # Large tables are padded for their own number of leaves, not for the most leaves of the class.

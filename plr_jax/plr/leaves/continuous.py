@@ -46,7 +46,10 @@ _MOST_DIM_OF_FACTORS = 2  # in more dimensions, sparse factors fill in too much
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int) -> Float[np.ndarray, " n"]:
-    """Solve ``normal @ x = moments``, symmetric positive definite, by a method for the domain's dimension ``dim``."""
+    """Solve ``normal @ x = moments`` with a symmetric positive definite matrix ``normal``.
+
+    In more than two dimensions ``dim`` of the domain, try conjugate gradients first; else factor the matrix.
+    """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
@@ -86,14 +89,14 @@ _INSET = 0.998  # test points fill this share of the face, since its ends belong
 
 
 class FaceTests:
-    """A test of which faces between leaves are free: distances are finite on both sides of some point of the face."""
+    """Tests of which faces between leaves are *free*: at a point of the face, distances are finite on both sides."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn, self._domain = distance_fn, domain
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
-        """Return which faces are free; the faces of the call before are not tested again."""
+        """Return whether each face is free; faces that the call before this one tested are not tested again."""
         domain = self._domain
         # 1. Recall the faces of the call before. A key identifies a face by its lower cell, its upper cell and its
         # axis: with periodic axes, a cell may share a face along each axis with itself.
@@ -103,7 +106,7 @@ class FaceTests:
         is_free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
         is_free[known] = self._free[known_before]
         is_new[known] = False
-        # 2. Test the others at pairs of points, one on either side of the face, first at few pairs:
+        # 2. Test all other faces at pairs of points, one on either side of the face, first at few pairs:
         #      below . | . above        distances at both are finite: the face is free
         # Places are fractions of a face; face_points ignores the coordinate along the face's axis.
         places = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
@@ -139,7 +142,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """Leaves whose functions agree on their ``tied`` faces: shared faces of reachable leaves that paths can cross."""
+    """A partition whose leaves must agree on ``tied`` faces, the faces between two leaves that paths can cross."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, " leaves"]
@@ -156,7 +159,7 @@ class TiedPartition:
 
 @dataclass(frozen=True, eq=False)
 class StoredValues:
-    """Free degrees of freedom, such as values at leaf corners, as in a file: ``offset + step * code``."""
+    """The free values of a function, such as values at corners of leaves, as in a file: ``offset + step * code``."""
 
     partition: TiedPartition
     offset: float
@@ -207,8 +210,8 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
 _MOST_SPLIT = 0.5  # largest share of the leaves that are split
 _LEAST_SPLIT = 1 / 32  # least share of the leaves that are split
 _FEW_LEAVES = 1 / 32  # of the splits that the limits allow: fewer leaves than these are all split
-# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: last rounds that
-# split many leaves would leave some of them with several times the error of the others.
+# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: if the last round
+# split many leaves, some leaves would keep several times the error of other leaves.
 _SHARE_OF_ALLOWED = 0.4
 _WORTH_A_ROUND = 1 / 50  # growth ends if the byte limit has room for fewer than one split per 50 leaves
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
@@ -260,7 +263,7 @@ class _Rounds:
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
-        """Return the leaves to split next and the axes to split them along; none if growth ends."""
+        """Return the indices of the leaves to split next, and their split axes; both are empty if growth ends."""
         fit, limits = now.fit, self._limits
         # 1. Estimate how many splits the limits allow, if the file grows in proportion to the leaves. For continuous
         # leaves, count it with a doubled step, which saves one bit per value. Smooth leaves need the finer step.
@@ -295,7 +298,10 @@ class _Rounds:
         return leaf, axis
 
     def fit_leaves(self, fit: CellFit) -> _FittedPartition:
-        """Fit a function, continuous except across walls, to samples of leaves in any order, by least squares."""
+        """Fit a function, continuous except across walls, to the samples of leaves (in any order) by least squares.
+
+        Return the leaves in tree order, with values rounded as far as the byte limit asks for.
+        """
         # 1. Sort the leaves by the tree, and find out which ones share values.
         tree = tree_of(fit.cells)
         fit = fit[tree.order]
@@ -328,7 +334,7 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, " free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit a finite-element function by least squares to the samples of leaves, each with its ``weight``.
+    """Fit a finite-element function by least squares to the samples of leaves; ``weight`` has the samples' weights.
 
     Return the free degrees of freedom, and the distance minus the function at each sample (0 if its weight is 0).
     """

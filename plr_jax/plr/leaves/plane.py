@@ -31,7 +31,10 @@ _WIDTH_BITS = 6  # bits in which the file states a bit width of ``half``
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1 across a leaf, in integers as in a file."""
+    """Planes ``offset + step * (center + half . u)`` with integers ``center`` and ``half``, as in a file.
+
+    ``u`` is the position in a leaf, from -1 to 1 along each axis.
+    """
 
     bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
     offset: float
@@ -44,7 +47,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return the bit widths of ``half``: by axis, how many bits an integer takes in leaves of depth 0, 1, ...
+        """Return, for each axis, how many bits an entry of ``half`` takes in leaves of depth 0, 1, ... along it.
 
         ``depth`` has the depth of each leaf along each axis.
         """
@@ -69,9 +72,10 @@ def unreachable_code(bits: int) -> int:
 
 
 def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
-    """Store planes with ``bits`` bits per center value; ``center`` is ``inf`` for a leaf that cannot reach the goal.
+    """Round planes to integers, with ``bits`` bits per center value (32: store floats).
 
-    ``ValueError`` if values are too large.
+    ``center`` is the value at each leaf's center, or ``inf`` for a leaf that cannot reach the goal; ``half`` is half
+    of the rise across the leaf along each axis. ``ValueError`` if values are too large.
     """
     is_reachable = np.isfinite(center)
     if max(np.abs(center[is_reachable]).max(initial=0.0), np.abs(half[is_reachable]).max(initial=0.0)) > LARGEST:
@@ -139,8 +143,8 @@ class Plane(LinearLeafModel):
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, parent_key, priority, np.asarray(rules.split(fit)), limits)
 
-        # 2. The bits per value decide the size of a file and its rounding errors: these have, at u, the variance
-        # step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
+        # 2. The bits per value decide the size of a file and its rounding errors. At u, the rounding error has the
+        # variance step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

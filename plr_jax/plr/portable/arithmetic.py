@@ -23,7 +23,7 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Operations:
-    """Operations of a query on NumPy values, besides arithmetic and comparisons; code generators override them."""
+    """Operations of a query besides arithmetic and comparisons, on NumPy values; code generators override them."""
 
     def let(self, name: str, value: Value) -> Value:
         """Return the value; a generator of code assigns the value to a new variable instead."""
@@ -64,7 +64,10 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Convert an ``offset`` from the domain's lower end to units of ``2**-23`` of the width; see :class:`Frame`."""
+    """Return an ``offset`` from the domain's lower end as an integer number of ``2**-23`` widths of the domain.
+
+    ``frame`` has the numbers of one axis: see :class:`Frame`.
+    """
     # The mantissa bits of max(min(share, top) + start, 1), a float from 1 to below 2; share is at least 0, so the
     # maximum is needed only if start < 1.
     start, top = frame[Frame.START], frame[Frame.TOP]
@@ -87,7 +90,7 @@ class Program:
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
-        # 2. Parameters of leaves; those of polynomials begin with the numbers of the leaf's cell, which are left out.
+        # 2. Parameters of leaves, without the numbers of the leaf's cell with which parameters of polynomials begin.
         domain_of_leaves, numbers = relative_to_origin(contents, origin)
         self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(domain_of_leaves)
@@ -107,7 +110,8 @@ class Program:
     def contains(self, do: Operations, x: Point) -> Value:
         """Return whether points are in the domain; False for NaN.
 
-        64-bit points must be wrapped before and, unless the domain is far from 0, rounded to 32 bits.
+        64-bit points must have passed :meth:`wrap_in_double` and, unless the domain is far from 0, be rounded to 32
+        bits.
         """
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
@@ -123,14 +127,18 @@ class Program:
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """Round points to 32 bits; in a domain far from 0, subtract its lower corner first."""
+        """Return the points; in a domain far from 0, subtract its lower corner and round to 32 bits."""
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Fold and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
+        """Return points from :meth:`relative` minus the lower corner of the leaves' domain.
+
+        Before the subtraction, mirror symmetries are applied to the points, and they are moved into the domain along
+        periodic axes.
+        """
         x = list(x)
         if self.folding_arrays is not None:
             # 1. Center, rotate, mirror behind each pivot, clip.
@@ -153,13 +161,16 @@ class Program:
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
         """Return how far points lie along each axis of the domain, in units of ``2**-23`` of the domain's width.
 
-        ``offsets`` are those of :meth:`offsets`.
+        ``offsets`` is the result of the method :meth:`offsets`.
         """
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Return answers at points, given by :meth:`offsets`, in the leaf with parameters ``numbers``."""
+        """Return the answers at points in the leaf with the parameters ``numbers``.
+
+        ``offsets`` has the points as the method :meth:`offsets` returns them.
+        """
         # 1. For polynomials, two numbers for each axis come before the leaf's parameters: how many cells as long as
         # the leaf's cell the domain has along the axis, and the index of the leaf's cell. In the cell, the coordinate
         # is t = (share of the domain's width) * number - index, from 0 to 1.
@@ -181,7 +192,10 @@ class Program:
         return do.where(straight > value, straight, value)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the lower bound by straight lines to the goals; None if none is stored."""
+        """Return the lower bound of the distance by straight lines to the goals; None if the file stores none.
+
+        ``offsets`` has the points as the method :meth:`offsets` returns them.
+        """
         # max(least cost of a goal - margin, 0); a goal's cost is the sum over groups of axes of
         #   rate * sqrt(sum of squared changes of the group's coordinates).
         if self.straight is None:
@@ -209,10 +223,10 @@ class Program:
 
 
 class CodedTree:
-    """A binary tree of cells whose nodes are integers ``index << kind_bits | kind``.
+    """A binary tree of cells in which each node is an integer ``index << kind_bits | kind``.
 
-    A split node's kind is the axis that it halves, and its index is a row of ``children``, in level order. A leaf's
-    kind is ``dim``, and its index is a row of leaf parameters.
+    The kind of a split node is the axis that it halves, and its index is its row in ``children``, which has split
+    nodes level by level. The kind of a leaf is ``dim``, and its index is its row of leaf parameters.
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, " leaves"]) -> None:

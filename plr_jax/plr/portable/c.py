@@ -1,4 +1,4 @@
-"""Generation of a C99 header from a PLR."""
+"""Generate a C99 header from a PLR: :func:`c_header` with plain tables, :func:`compact_header` with fewer bytes."""
 
 import numpy as np
 
@@ -162,7 +162,7 @@ def c_header(program: Program, name: str) -> str:
 
 
 def compact_header(program: Program, name: str) -> str:
-    """Return the decoder and compact bytes of a PLR as a header; see :meth:`PLR.c_header`."""
+    """Return a header with the compact bytes of a PLR and the decoder that queries them; see :meth:`PLR.c_header`."""
     require_identifier(name)
     data, dim = compact_bytes(program), program.dim
     of_type, far = ("float", "") if program.corner is None else ("double", "_far")  # of coordinates; of functions

@@ -1,8 +1,8 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from them, and rounding may make some differ
-from those that a query of the PLR file uses. This module finds such parameters and stores them too. So all answers
-are equal, bit for bit.
+``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from them. Due to rounding, some of these may
+differ from the parameters that a query of the PLR file uses. This module finds and stores such parameters, so that
+all answers are equal, bit for bit.
 """
 
 import math
@@ -43,7 +43,7 @@ _EXACT = 2**53  # doubles hold all integers up to here
 
 
 def compact_bytes(program: Program) -> bytes:
-    """Return the bytes that the C decoder reads, in the smallest encoding that the PLR's leaf model has."""
+    """Return the bytes that the C decoder reads, in the smallest of the encodings that the PLR's leaf model has."""
     leaf, contents = program.leaf, program.contents
     if not leaf.has_compact_code:
         raise ValueError(f"The compact decoder does not know leaves of kind {leaf.name!r}: use compact=False.")
@@ -77,7 +77,7 @@ class _CompactWriter:
 
     @property
     def _at(self) -> int:
-        """Position, in bits, at which the next part of the file begins."""
+        """The position in the result, in bits, at which the next part begins."""
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_domain(self) -> None:
@@ -120,7 +120,7 @@ class _CompactWriter:
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
-        """Append rows of integers; each of ``parts`` is some columns of the rows, and the bits of each number."""
+        """Append rows of integers; each part is a pair of some columns of the rows and the bits of their numbers."""
         widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
         rows = np.concatenate([columns for columns, _ in parts], axis=1)
         self.body.write(rows.ravel(), np.tile(widths, len(rows)))
@@ -327,7 +327,7 @@ class _Middles:
         """Choose, for each record of 16 splits, the bits of a ``narrow`` number for which the record is smallest.
 
         A ``wide`` number takes twice as many bits. Edges whose ``narrow`` number does not fit are stored wide: their
-        ``mark`` changes from 1 to 2, in place.
+        ``mark`` changes from 1 to 2, in place. A comment at the class explains these numbers.
         """
         narrow_bits = 1 + np.frexp(np.abs(self.narrow))[1]
         wide_bits = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
@@ -341,7 +341,10 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, " splits"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Return two integers for each halved edge, and their bits: those of ``narrow`` are ``unit[split]``."""
+        """Return two integers for each halved edge, and the bits of each integer (0 if it is not stored).
+
+        A ``narrow`` number has ``unit[split]`` bits, a ``wide`` number twice as many.
+        """
         # By mark: nothing; narrow; the first wide; both of them.
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
@@ -351,7 +354,10 @@ class _Middles:
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN where it is unknown."""
+    """Return the polynomials of smooth leaves as the C decoder computes them, one row per leaf, in level order.
+
+    Coefficients whose rounding by the decoder cannot be predicted are NaN.
+    """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -376,7 +382,9 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """Values and derivatives at corners of smooth leaves, as the C decoder computes them; NaN if unpredictable.
+    """Values and derivatives at corners of smooth leaves, as the C decoder computes them.
+
+    Numbers whose rounding by the decoder cannot be predicted are NaN.
 
     Points count ``2**-23`` of the domain's width along either axis. Corners of a leaf, and the numbers at a corner
     (value, derivative by y, by x, by both), are numbered ``2 * x_bit + y_bit``.
@@ -388,9 +396,10 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return the numbers at a corner where leaves have ``value``, and the length of a chain.
+        """Return the four numbers at the corner ``point`` of leaves that have ``value`` there, and a chain length.
 
-        The chain counts corners inside edges of larger leaves, each computed from the ends of its edge.
+        A *hanging* corner lies inside an edge of a larger leaf, and is computed from the ends of this edge, which may
+        hang, too. The chain length is the largest number of such steps.
         """
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
@@ -398,7 +407,11 @@ class _SmoothCorners:
         return self.known[point, value]
 
     def _numbers(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return the numbers and the chain of a corner: means over its leaves, or from a host's edge."""
+        """Compute the numbers and the chain length of a corner; see :meth:`__call__`.
+
+        The numbers are means over the leaves at the corner. If the corner hangs, they come from the edge of the
+        larger leaf (the *host*) instead.
+        """
         # Up to four leaves meet at a point. One of them (the host) may have it inside an edge, not at a corner:
         #
         #     +-----------+              edge: axis of the host's edge
@@ -453,7 +466,7 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return the numbers and the chain at a corner inside an edge of a larger leaf, from cubics along the edge.
+        """Compute the numbers and the chain length of a corner inside an edge of a larger leaf, from cubics along it.
 
         The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
         """

@@ -39,7 +39,10 @@ CUT_OFF = -2  # instead of a leaf's source: the goal cannot be reached from the 
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (corners, goals) as in a file: fine ones, then ones on the lattice, sorted by coordinates."""
+    """Apexes of cones (corners, goals) as in a file: first *fine* ones, which are not on the map's lattice of points.
+
+    Fine apexes and apexes on the lattice are each sorted by their coordinates.
+    """
 
     num_fine: int  # size of the first group: sources that are not on the map's lattice
     exponent: int  # coordinates in the first group are multiples of 2**exponent
@@ -99,10 +102,12 @@ def store_sources(
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
     goals: Int[np.ndarray, " goals"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
+    """Round sources to lattices, and merge sources that are rounded to one point.
+
+    Return the stored sources, and the index of each given source among them.
 
     ``offsets`` are distances to the goal; ``is_off`` is the result of :func:`off_lattices`, if known. With several
-    goals, ``goals`` has their indices, and they are the first sources. ``ValueError`` if numbers are too large.
+    goals, the goals are the first sources, and ``goals`` has their indices. ``ValueError`` if numbers are too large.
     """
     # 1. Check the limits.
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
@@ -141,7 +146,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return which points are off the lattice of multiples of ``1 / n``: a column for each ``n`` in ``_LATTICES``."""
+    """Return whether each point has a coordinate that is no multiple of ``1 / n``, for all ``n`` in ``_LATTICES``."""
     # A coordinate x is on the lattice if |n x - round(n x)| <= n * rounding. This tolerance is a little more than the
     # rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
@@ -169,7 +174,7 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    """Write the sources: coordinates in steps of two lattices; for roots, offsets; for other sources, parents."""
+    """Write the sources: coordinates in steps of two lattices, then offsets of roots and parents of all others."""
     fine, others = np.split(sources.code, [sources.num_fine])
     exponent, fraction = sources.exponent, sources.fraction
     groups = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, fraction, fraction)
@@ -258,7 +263,10 @@ def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, " roots"]:
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "count dim"]:
-    """Decode the coordinates of sources in lattice steps; the first coordinates are stored as differences."""
+    """Decode the coordinates of ``count`` sources, in lattice steps.
+
+    Along the first axis, the file has differences of successive coordinates.
+    """
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
@@ -296,7 +304,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 class ConeFiles:
-    """An encoder of cone leaves that computes file sizes; apexes are ``sources``, obstacle corners and goals."""
+    """An encoder of cone leaves that computes file sizes; ``sources`` are the possible apexes, corners and goals."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
@@ -311,11 +319,14 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's apex; leaves without a path, < 0, get another leaf's apex."""
+        """Encode cone leaves; ``source`` has the index of each leaf's apex among the sources.
+
+        A negative index marks a leaf without a path to the goal; it gets another leaf's apex.
+        """
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
-        """Return the size of a file of leaves with these apexes, as :meth:`Limits.file_size` computes it."""
+        """Return the size in bytes of a file of leaves with the apexes ``source``: see :meth:`Limits.file_size`."""
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         num_cut_off = int(np.count_nonzero(source == CUT_OFF))

@@ -123,7 +123,7 @@ class Lattice:
         """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape of a box.
 
         The boxes ``box[row]`` have this shape. The samples of box ``box[row[i]]`` have the indices
-        ``first_sample[i] + offset``. These are all samples of the box, not only some as in :attr:`samples`.
+        ``first_sample[i] + offset``. These are all samples of the box; :attr:`samples` has at most 64.
         """
         shape_of_box = np.searchsorted(list(self.first.values()), box, side="right") - 1
         for index, shape in enumerate(self.first):
@@ -185,7 +185,7 @@ Indices: TypeAlias = Int[np.ndarray, " options"]
 def option_errors(
     goal: GoalSamples, start: Indices, offset: Int[np.ndarray, " k"], source: Indices, shortfall: float = np.inf
 ) -> Float[np.ndarray, "3 options"]:
-    """Compare options, each a box and the cone of a source in the box, with the distances at samples of the box.
+    """Compute the errors of *options* at samples: an option is a box with the cone of a source.
 
     Option ``i`` has the samples ``start[i] + offset`` and the source ``source[i]``. Rows of the result: the weighted
     sum of errors; the largest error; and the weight of samples that a wall hides from the source. These are samples
@@ -383,9 +383,10 @@ class FamilyTask:
     goals_at_once: ClassVar[int] = 1
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], None]:
-        """Return the largest tree within the limits and its leaves, in a list; None in it if no sample has a path.
+        """Return a list with the largest tree within the limits, and its leaves, for the only oracle in ``oracles``.
 
-        The second result is None: no sources of leaves are known, unlike those of :class:`WorstFirst`.
+        The list has None if no sample has a path to the goal. The second result, where :class:`WorstFirst` returns
+        the sources of the leaves, is None, since this task does not compute them.
         """
         (oracle,) = oracles
         goal = goal_samples(oracle, self.shared)

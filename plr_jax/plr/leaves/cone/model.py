@@ -126,7 +126,7 @@ def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, " leaves"] |
 
 
 def require_goals(goals: Any) -> Any:
-    """Return the stored goals; ``ValueError`` if there are none."""
+    """Return ``goals``, the goals that a PLR stores for its leaves; ``ValueError`` if they are None."""
     if goals is None:
         raise ValueError(
             "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "

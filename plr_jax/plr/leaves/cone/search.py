@@ -1,7 +1,7 @@
 """Find the best partition into cone leaves, functions ``offset + |x - source|``, for one goal and a file's limits.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. The price per leaf is found at which the tree of least error plus prices fills the file (``best_cones_of_goal``).
+2. A search finds the price per leaf at which the tree of least error plus prices fills the file (``PriceSearch``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 
@@ -84,7 +84,10 @@ class ConeBoxes(Rows):
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
-    """Return a quarter of the machine epsilon of 32-bit floats, times the largest finite distance."""
+    """Return the error up to which a cone counts as exact, as a query computes in 32-bit floats.
+
+    It is a quarter of their machine epsilon times the largest finite distance.
+    """
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
@@ -196,7 +199,10 @@ class LeafOptions(NamedTuple):
 
 
 def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " selected"]) -> ConeBoxes:
-    """Return boxes by their numbers, which count the boxes of the first level, then of the second, and so on."""
+    """Return the boxes with the given numbers, in the given order.
+
+    Numbers count the boxes of the first level from 0 on, then the boxes of the second level, and so on.
+    """
     first_number = np.cumsum([0, *(len(boxes_of_level.source) for boxes_of_level in levels)])
     level = np.searchsorted(first_number, number, side="right") - 1
     used_levels = np.unique(level) if len(level) else [0]
@@ -243,10 +249,10 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 
 
 def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
-    """Choose a source for each leaf: where possible, one that all of the leaf sees.
+    """Choose a source for each leaf: where possible, a source that all of the leaf sees.
 
-    The largest proven error does not rise. ``fits`` tells whether the file of leaves with these sources is within its
-    limits.
+    ``boxes`` are the leaves with their present sources. The largest proven error does not rise. ``fits`` tells
+    whether the file of leaves with given sources is within its limits.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -255,9 +261,11 @@ def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[L
 def change_sources(
     source: LeafSources, options: LeafOptions, total: float, most: float, fits: Callable[[LeafSources], bool]
 ) -> LeafSources:
-    """Give leaves other sources than ``source``, where walls hide less, while the file of all leaves ``fits``.
+    """Replace the ``source`` of some leaves by a source that walls hide from less of the leaf; return all sources.
 
-    The largest errors of new cones are at most ``most``. ``total`` is the mean error of all leaves before.
+    ``fits`` tells whether the file of the leaves with given sources is within its limits; if not all changes fit, the
+    most useful changes are made. The largest error of a new cone is at most ``most``. ``total`` is the mean error of
+    all leaves with their present sources.
     """
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
@@ -293,8 +301,8 @@ def best_cones_of_goal(
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
     ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before
-    step 3 of this module.
+    walls hide its source. Return the tree, its leaves as in a file, and the leaves' boxes. The boxes have the sources
+    that leaves had before they were changed to visible sources.
     """
     # 1. Start from the domain as the only box; `search` appends boxes to `levels`.
     negligible = max(limits.tolerance, query_resolution(visible.distance))

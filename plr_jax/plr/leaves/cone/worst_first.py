@@ -40,7 +40,10 @@ _FULL = 0.99  # used share of the limits at which a tree is large enough
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
-    """The nodes of the trees of several goals: the equal boxes of step 1, and the halves of nodes."""
+    """The nodes of the trees of several goals, one node in each row.
+
+    A node is one of the equal boxes into which the domain is cut first, or half of another node.
+    """
 
     goal: Int[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # number of the node of which this one is a half; -1 for the boxes of step 1
@@ -54,10 +57,10 @@ class _Nodes(Rows):
 
 
 class _GoalTree:
-    """The nodes of one goal. For any number ``n``, the first ``n`` splits in the order of keys make a tree.
+    """The nodes of one goal. For any number ``n``, the first ``n`` splits in the order of falling keys make a tree.
 
-    They do, since no key is larger than the parent's, and parents come before their halves: a node's split never
-    comes before its parent's.
+    The reason is that a node's split never comes before its parent's: no key is larger than the parent's key, and
+    among equal keys, parents come first.
     """
 
     def __init__(self, nodes: _Nodes, goal: int, files: ConeFiles, limits: Limits) -> None:
@@ -79,7 +82,7 @@ class _GoalTree:
         return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
 
     def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
-        """Return the leaves of the tree that the first ``num_splits`` splits, by decreasing key, create.
+        """Return the leaves of the tree of the first ``num_splits`` splits in the order of falling keys.
 
         Leaves are indices of ``nodes``, from left to right.
         """
@@ -87,15 +90,16 @@ class _GoalTree:
         return leaf[np.argsort(self.nodes.path[leaf])]
 
     def used_share(self, num_splits: int) -> float:
-        """Return the share of the limits that the tree with the first splits takes; above 1 if it exceeds them."""
+        """Return the share of the limits that the first ``num_splits`` splits need; above 1 if they exceed them."""
         source, limits = self.nodes.source[self.leaves(num_splits)], self._limits
         num_bytes = self._files.num_bytes(source, limits) if np.isfinite(limits.max_bytes) else 0
         return max(len(source) / limits.max_leaves, num_bytes / limits.max_bytes)
 
     def most_splits(self, fits: int, share_of_fits: float, share_of_all: float) -> int:
-        """Return the most splits within the limits, or nearly so many.
+        """Return the largest number of splits whose tree is within the limits, or nearly the largest.
 
-        ``fits`` splits are within the limits. The other arguments are the used shares of ``fits`` and of all splits.
+        ``fits`` is a number of splits within the limits. ``share_of_fits`` and ``share_of_all`` are the shares of the
+        limits that ``fits`` splits and all splits use.
         """
         # False position: the used share counts as linear between a number of splits that fits and one beyond.
         beyond, share_of_beyond = self.num_splits, share_of_all
@@ -113,7 +117,10 @@ class _GoalTree:
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
-        """Return the tree with the first splits, below levels whose axes are ``axes_above``."""
+        """Return the tree of the first ``num_splits`` splits.
+
+        Above them are the levels that cut the domain into equal boxes; ``axes_above`` has the axis of each level.
+        """
         axis = np.where(self._split_rank < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))  # level by level, from left to right
         order = order[self._made_by[order] < num_splits]
@@ -131,7 +138,11 @@ class _Search:
         self._fits, self._share_of_fits = 0, 0.0  # number of splits of the last tree within the limits; used share
 
     def num_splits(self, tree: _GoalTree) -> int | None:
-        """Return the number of splits of the largest tree within the limits; None if the threshold was lowered."""
+        """End the search: return the number of splits of the largest tree within the limits.
+
+        If all splits of ``tree`` are within the limits and nodes are left to halve, go on instead, and return None:
+        ``threshold``, the error above which nodes are halved, is lowered.
+        """
         share = tree.used_share(tree.num_splits)
         if share > 1 or not tree.largest_open_key:
             return tree.most_splits(self._fits, self._share_of_fits, share)
@@ -154,9 +165,10 @@ class WorstFirst:
         return max(1, int(_LEAVES_AT_ONCE / self.num_leaves))
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], CellSources]:
-        """Return each goal's tree and leaves, and the sources of all leaves, those of the first goal first.
+        """Return the tree and the leaves of each goal, and the sources of all leaves, one goal after another.
 
-        There is no tree if no path leads to the goal, or if the limits are too narrow for the boxes of step 1.
+        Instead of a tree, there is None if no path leads to the goal, or if the limits are too narrow for the equal
+        boxes of step 1.
         """
         # 1. Cut the domain into equal boxes, along x and y in turn. Each box is a node of each goal's tree. Sources
         # of all goals are numbered one goal after the other, `num_sources` for each goal.
@@ -224,7 +236,8 @@ class WorstFirst:
 def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
     """Return the axis along which to halve each box, so that the sum of the halves' largest errors is least.
 
-    It is -1 if the limits allow no halving. Errors are those of the box's cone at corners of its convex pieces.
+    It is -1 if the limits allow no halving. Errors are measured for the box's present cone, at corners of its convex
+    pieces of free space.
     """
     # 1. Errors, by corner and piece: |min over the piece's sources s of (d[s] + |x - s|)  -  the box's cone at x|.
     visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
