@@ -1,10 +1,12 @@
 """Lattices: the configurations that robots visit in a search, and the motions between them.
 
-A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
-configuration in a cell, its representative: the center if that is free, else the free sample with the largest
-clearance. A primitive is a motion between representatives of neighboring cells. A robot's start and goal are
-additional nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their
-cells. If both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
+A lattice divides a robot's configuration space into a grid of cells, periodic in the heading. A cell is represented
+by a free configuration (a node): the cell's center if it is free, else the free sample with the largest clearance. A
+primitive is a motion between the nodes of two neighboring cells.
+
+Each robot's start and goal are additional nodes, so that its paths begin and end exactly there. For this robot, they
+replace the nodes of their cells. If start and goal lie in one cell, motions into the cell lead to the goal, and an
+additional primitive connects start and goal.
 """
 
 import math
@@ -47,7 +49,10 @@ Primitives: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray,
 
 
 class Terminals(NamedTuple):
-    """The *terminals* of each robot, start (column 0) and goal (column 1), and the motions that end at them."""
+    """Start and goal (the *terminals*) of each robot of a :class:`Kind`, and the lattice motions that end there.
+
+    Index 0 of the second axis is the start, index 1 the goal.
+    """
 
     node: Int[np.ndarray, "robots 2"]  # node of each terminal
     cell: Int[np.ndarray, "robots 2"]  # node of each terminal's cell, which the terminal replaces for its robot
@@ -59,13 +64,17 @@ class Terminals(NamedTuple):
 
 @dataclass(eq=False)
 class Kind:
-    """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
+    """The lattice that robots of equal shape and rotation weight share, as a table of motions and as a graph.
 
-    Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
-    node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked
-    primitive leads to its own node at infinite cost. All robots share the table, so no primitive leads to a start or
-    goal. Edges lead from nodes ``begin`` to ``end``: the table's free motions, then each robot's motions into its
-    start and goal. The last edge is a dummy of infinite cost, which pads lists of edges.
+    ``q`` has the configurations of the nodes: first one for each cell that has a free one, then all starts, then all
+    goals. Entry ``[n, p]`` of the table (``child`` and ``cost``) is the end node and the cost of *primitive* ``p``
+    from node ``n``, such as the motion to the cell on the right. Primitive 0 stays in place. A blocked primitive
+    leads to its own node at infinite cost. Starts and goals belong to one robot each, so no other node of the table
+    leads to them.
+
+    Edge ``e`` of the graph leads from node ``begin[e]`` to node ``end[e]``. First come the free motions of the table,
+    then the motions into each robot's start and goal. The last edge is a dummy of infinite cost, which pads lists of
+    edges.
     """
 
     robot: Robot
@@ -95,9 +104,10 @@ class Kind:
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Primitives:
-        """Return the end node and cost of each primitive from nodes of robot ``members[row]``.
+        """Return the end node and the cost of each primitive from each node of ``node``, for robot ``members[row]``.
 
-        By default, ``node`` holds one node for each robot of ``members``.
+        Unlike in the table, motions into the cell of the robot's start or goal end at the start or goal. By default,
+        ``node[i]`` is for robot ``members[i]``.
         """
         child, cost = self.child[node], self.cost[node]
         # Replace motions into the cells of the robot's terminals by motions into the terminals. Axes of `enters`:
@@ -123,9 +133,9 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, in a column for each node, the edges into the node that robot ``members[row]`` may use.
+        """Return, in column ``n``, the edges into node ``n`` that robot ``members[row]`` may use.
 
-        Dummy edges fill up the columns.
+        The index of the dummy edge fills up the columns.
         """
         into = self._shared_edges_into_nodes.copy()
         terminal_edges = self.terminal_edges[row]
@@ -143,7 +153,7 @@ class Kind:
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, " steps"]) -> Int[np.ndarray, "motions"]:
-        """Return the cheapest edge from each node of a path to the next node; every such edge must exist."""
+        """Return the index of the cheapest edge from each node of a path to the next node; it must exist."""
         order, key = self._edges_and_sorted_keys
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
@@ -179,7 +189,10 @@ class Kind:
 
 
 class Lattice:
-    """The lattice of one robot: the lattice of its :class:`Kind`, with the robot's own start and goal."""
+    """The lattice of robot ``kind.members[row]``: the lattice of its :class:`Kind`, with the robot's start and goal.
+
+    In ``child`` and ``cost``, motions into the cells of the start and goal end at the start and goal.
+    """
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
@@ -200,7 +213,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class JointLattice:
-    """The lattices of all robots, grouped by kind (robots of equal shape and rotation weight), and a motion test."""
+    """The lattices of all robots, also grouped by kind (equal shape and rotation weight), with a collision test."""
 
     problem: Problem
     step: float
@@ -210,7 +223,7 @@ class JointLattice:
 
     @cached_property
     def costs_to_go(self) -> list[Float[np.ndarray, " _"]]:
-        """For each robot, the least cost from each node of its lattice to its goal, without the other robots."""
+        """An array for each robot: the least cost from each node of its lattice to its goal if it were alone."""
         costs = {}
         for kind in self.kinds:
             num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
@@ -222,7 +235,7 @@ class JointLattice:
 
     @property
     def least_costs(self) -> Float[np.ndarray, " robots"]:
-        """For each robot, the least cost on its lattice from start to goal, without the other robots."""
+        """The least cost of each robot on its lattice from its start to its goal if it were alone."""
         return np.array([cost[lattice.start] for cost, lattice in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
@@ -239,7 +252,12 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows of ``state`` in which two robots are near, and which of their primitives collide there."""
+        """Return the rows of ``state`` in which robots ``i`` and ``j`` are near, and their primitives that collide.
+
+        Robots are near if one motion of each may bring their bodies together. Entry ``[k, a, b]`` of the second
+        result tells whether primitive ``a`` of robot ``i`` collides with primitive ``b`` of robot ``j`` in the
+        ``k``-th such row.
+        """
         a, b = self.lattices[i], self.lattices[j]
         qa, qb = a.q[state[:, i]], b.q[state[:, j]]
         # 1. Robots are near if their bodies might meet in one motion from there.
@@ -253,7 +271,7 @@ class JointLattice:
 
 
 class CellGrid(NamedTuple):
-    """A grid of cells over a robot's configuration space: a free configuration per cell, and motions between them."""
+    """A grid of cells over a robot's configuration space: free configurations in cells, and motions between them."""
 
     lo: Float[np.ndarray, " dof"]
     shape: tuple[int, ...]
@@ -269,7 +287,11 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Add starts and goals of robots ``members`` of a team as nodes, and return the motions of these robots."""
+        """Add the starts and goals of robots as nodes, and return the lattice of these robots.
+
+        All have the shape ``robot``. ``members`` are their indices in the team, in the order of the rows of
+        ``starts`` and ``goals``.
+        """
         # Arrays of terminals hold all starts, then all goals. Rolled by `num_robots`, they hold the other terminal of
         # the same robot.
         num_robots = len(starts)
@@ -332,7 +354,12 @@ class CellGrid(NamedTuple):
         return Kind(robot, members, q, child, cost, self.side, offsets * self.side, terminals)
 
     def neighbors(self, cells: Int[np.ndarray, " n"], offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
+        """Return the cell at each offset from each given cell, and whether a motion between these two may be free.
+
+        It may if the cells differ and the cell at the offset has a free configuration.
+
+        Cells are row-major indices. Where an offset leads out of the grid, the flag is False.
+        """
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)
@@ -342,7 +369,10 @@ class CellGrid(NamedTuple):
     def costs(
         self, possible: Bool[np.ndarray, "n primitives"], begin: Ends, end: Ends, deadline: float = math.inf
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions, ``inf`` for motions that are not ``possible`` or hit an obstacle."""
+        """Return the costs of straight motions from ``begin`` to ``end``.
+
+        The cost is ``inf`` if a motion is not ``possible`` or hits an obstacle.
+        """
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -350,7 +380,7 @@ class CellGrid(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, " n"], deadline: float = math.inf) -> None:
-        """Test all motions that begin in the given cells, and write their end cells and costs into the grid."""
+        """Test all motions from the given cells (indices), and write their end cells and costs into the grid."""
         child, is_possible = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         is_possible &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
@@ -365,7 +395,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Group robots of equal shape and rotation weight (a *kind*); return the indices of the robots of each kind."""
+    """Group robots by shape and rotation weight; return, for each such pair, the indices of its robots."""
     kinds = defaultdict(list)
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)
@@ -373,7 +403,7 @@ def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build the lattices of all robots of a problem; robots of one kind share a table.
+    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share arrays.
 
     Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
     by more than ``step``, and is at most an eighth of a full turn.
@@ -388,7 +418,10 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the cells of robots of one shape, and the motions between them; small grids are cached."""
+    """Return the grid of cells, at most ``step`` wide, of one robot, with the motions between cells.
+
+    ``weight`` is the robot's rotation weight. Small grids are cached.
+    """
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
     build = _cached_cell_grid if is_small else _build_cell_grid
     return build(workspace, robot, weight, step, IgnoredByCache(deadline))

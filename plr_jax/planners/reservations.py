@@ -1,4 +1,4 @@
-"""A table of reservations: lattice motions (edges) that a team's paths block at each step, and replanning around it.
+"""A table of the lattice motions (edges) that a team's paths block at each step, and replanning of robots with it.
 
 References: Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-agent path finding via large
 neighborhood search", 2021.
@@ -31,7 +31,10 @@ Edges: TypeAlias = Int[np.ndarray, " _"]
 
 
 class ReservationTable:
-    """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step."""
+    """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step.
+
+    ``state[t, i]`` is the lattice node of robot ``i`` after ``t`` steps.
+    """
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
         self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
@@ -65,7 +68,7 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count robot ``i``'s path as blocking all motions that collide with it; ``change=-1`` undoes that."""
+        """Count robot ``i`` as blocking all edges that collide with its path; ``change=-1`` undoes this."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -74,7 +77,10 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each edge (motion) of robots of kind ``a``, the edges of kind ``b`` that collide with it."""
+        """Return, for each edge (an index) of kind ``a``, the edges of kind ``b`` that collide with it.
+
+        Kinds are indices in ``kinds``, groups of robots of equal shape and rotation weight.
+        """
         ours, others = self.kinds[a], self.kinds[b]
         tree, order, first = self._near[b]
         colliding = self._colliding_edges[a, b]  # answers are cached
@@ -104,7 +110,7 @@ class ReservationTable:
     def replan(self, i: int, max_cost: float) -> bool:
         """Move robot ``i`` to its cheapest free path that costs at most ``max_cost``; return whether there is one.
 
-        The caller must have undone the robot's reservations. The result is also False if a limit is reached.
+        The caller must have undone the robot's reservations. The result is also False if time or memory runs out.
         """
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
@@ -149,9 +155,9 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan robots with detours, the largest detour first, in rounds.
+    """Replan the robots whose paths cost more than if they were alone, the largest difference first, in rounds.
 
-    Stop after a round that saves little, or at a limit.
+    Stop after a round that saves little, or if time or memory runs out.
     """
     while True:
         before = table.cost.sum()
@@ -167,9 +173,10 @@ def replan_each(table: ReservationTable) -> None:
 
 
 def replan_together(table: ReservationTable, robots: list[int]) -> bool:
-    """Replan robots one after the other, unless that raises the cost; return whether the cost fell.
+    """Replan the robots with the indices ``robots`` one after the other; return whether their total cost fell.
 
-    If all robots find paths, these are kept even if the cost is equal.
+    If their total cost would rise, or a robot finds no path, all keep their old paths. New paths of equal cost are
+    kept.
     """
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
@@ -198,7 +205,8 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
     """Replan ``count`` groups: a random robot with a detour, and the four robots that come nearest to it.
 
-    Distances to other robots are multiplied by random factors from 1 to 2, so that groups vary.
+    A robot has a detour if its path costs more than if it were alone. Distances to other robots are multiplied by
+    random factors from 1 to 2, so that groups vary.
     """
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)
