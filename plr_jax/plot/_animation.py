@@ -52,7 +52,10 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return the path as data for ``player.js``; rounding moves positions by at most 1/20 of a pixel."""
+    """Return the robots' motion as data for ``player.js``; rounding moves positions by at most 1/20 of a pixel.
+
+    ``seconds`` is the duration of one playback.
+    """
     # The longer side w has SIZE = 520 pixels. Rounding to d = 4 - floor(log10 w) decimals changes a position by at
     # most 10**-d / 2 <= w * 1e-4 / 2, which is 0.026 pixels.
     bounds = problem.workspace.bounds
@@ -72,7 +75,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for a script to move."""
+    """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for ``player.js`` to move."""
     bounds = problem.workspace.bounds
     scale = pixel_scale(bounds)
     width, height = scale * bounds.width
@@ -239,7 +242,7 @@ class _Actor:
             artist.set_animated(True)
 
     def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
-        """Move the artists to the end of the path so far; the trail is the whole path so far."""
+        """Show the robot at the last configuration of ``so_far``, its path so far, which is drawn as the trail."""
         q = so_far[-1]
         self.trail.set_data(*so_far[:, :2].T)
         self.body.set_xy(placed(self.robot, self.outline, q))

@@ -28,7 +28,7 @@ SQUARE = Box((0, 0), (1, 1))  # gives pictures whose axes have different units a
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function, such as a PLR, each of whose leaves (pieces) covers one or more boxes."""
+    """A piecewise function, such as a PLR, in which each piece (leaf) covers one or more boxes of the domain."""
 
     @property
     def leaf_of_box(self) -> Any: ...
@@ -61,12 +61,12 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
 
 
 def is_angle(domain: Box, axis: int) -> bool:
-    """Return whether an axis is an angle in radians: periodic, and a full turn wide."""
+    """Return whether an axis of the domain is an angle in radians: periodic, and a full turn wide."""
     return domain.periodic[axis] and math.isclose(domain.width[axis], 2 * math.pi)
 
 
 def axis_label(domain: Box, axis: int) -> str:
-    """Return the name of an axis with its unit, guessed from the dimension and from which axes are angles."""
+    """Return the name of an axis of the domain with its unit, guessed from the dimension and the angles."""
     are_angles = [is_angle(domain, other) for other in range(domain.dim)]
     if are_angles[axis]:
         return f"{'heading' if are_angles == [False, False, True] else f'angle {axis + 1}'} (rad)"
@@ -83,7 +83,7 @@ def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
 
 
 def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
-    """Return axes of the box's shape in a new figure.
+    """Return axes with the proportions of a box in the plane, in a new figure.
 
     ``before`` has the margins (left, bottom), ``after`` has (right, top), in inches.
     """

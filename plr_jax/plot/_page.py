@@ -71,14 +71,14 @@ def pixel_scale(bounds: Box) -> float:
 
 
 def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
-    """Return points as text for SVG, in pixels from the upper left corner of the bounds."""
+    """Return points as text for SVG, as pixel coordinates from the upper left corner of the bounds."""
     scale = pixel_scale(bounds)
     x, y = scale * (points[:, 0] - bounds.lo[0]), scale * (bounds.hi[1] - points[:, 1])
     return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
 
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
-    """Return the obstacles as the path data of SVG, in pixels, to be filled by the even-odd rule."""
+    """Return a workspace's obstacles as SVG path data, in pixels, to be filled by the even-odd rule."""
     rings = shapely.get_rings(blocked_polygons(workspace))
     return "".join(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z" for ring in rings)
 
@@ -108,11 +108,11 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
     The page shows distances as colors and contours, the walls, and optionally the cells. At the pointer it shows the
     distance, its proven bounds and a path. A click starts a swarm of points that flow to the goal. For pairs
-    (distances between any two points), both ends can be dragged. Other files of pairs, or of PLRs with cone leaves,
+    (distances between any two points), both points can be dragged. Other files of pairs, or of PLRs with cone leaves,
     can be dropped on the page. Distances equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
 
-    The walls drawn are the obstacles of ``workspace``; pairs have walls of their own. ``ValueError`` is raised unless
-    the first argument is a PLR or PairPLR in the plane, and ``workspace`` is a Workspace or None.
+    For a PLR, the walls drawn are the obstacles of ``workspace``; pairs have walls of their own. ``ValueError`` is
+    raised unless the first argument is a PLR or PairPLR in the plane, and ``workspace`` is a Workspace or None.
     """
     source = plr_or_pairs
     if not isinstance(source, PLR | PairPLR):
@@ -141,13 +141,16 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
 
 def _is_plain_cone(container: Container) -> bool:
-    """Return whether a PLR has cone leaves, and neither periodic axes nor a folding by mirror symmetries."""
+    """Return whether a PLR file has cone leaves, and neither periodic axes nor a folding by mirror symmetries."""
     is_plain = container.folding is None and not container.domain.is_periodic
     return is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
 
 
 def _module(data: bytes) -> str:
-    """Return the JavaScript text of an object: a reader of the PLR file ``data``, its size, cell count and error."""
+    """Return JavaScript code of an object that holds a reader of the PLR file ``data``, and numbers about the file.
+
+    The numbers are its size in bytes, its number of cells, and its proven error.
+    """
     plr = NumpyPLR(data)
     module = plr.js_module()
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

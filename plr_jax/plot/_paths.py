@@ -26,7 +26,7 @@ from plr_jax.robots.robot import Robot, placed, rows_around, shorter_turn
 class Timeline:
     """A path of all robots: configurations at nondecreasing times, from 0 to the path's duration.
 
-    Headings grow beyond pi instead of jumping by a full turn.
+    Headings are continuous: they grow beyond pi instead of jumping by a full turn.
     """
 
     times: Float[np.ndarray, " steps"]
@@ -50,7 +50,10 @@ class Timeline:
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
-    """Return a path with the time of each of its configurations; steps in which no robot moves are left out."""
+    """Return a path with the time of each of its configurations; steps in which no robot moves are left out.
+
+    ``ValueError`` if the path is not finite.
+    """
     path = as_path(problem, path)
     bad = np.argwhere(~np.isfinite(path))  # (step, robot, coordinate)
     if bad.size:
@@ -100,12 +103,12 @@ def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
 
 
 def drawn_rounding(robot: Robot, bounds: Box) -> float:
-    """Return the radius by which a robot's core is rounded in pictures; for a point robot, the radius of a dot."""
+    """Return the radius by which pictures round a robot's core polygon; for a point robot, the radius of a dot."""
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
 def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
-    """Return the ends of a bar across a robot's body near its front, in its own frame; it shows the heading."""
+    """Return the ends of a bar that shows the heading: across a robot's body near its front, in the robot's frame."""
     #   +---------|--+
     #   |         |  |-->   The bar takes 56 % of the body's width at x, which is 20 % of the body's shorter side
     #   +---------|--+      behind the front.
@@ -247,9 +250,9 @@ def plot_path(
 ) -> Axes:
     """Draw a path ``(steps, robots, dof)`` or a part of it, as in Fig. 3 of the paper (Putman et al.).
 
-    The part lasts from ``begin`` to ``end``, fractions of the path's duration. Each robot leaves a line in its color
-    and ``num_poses`` faded bodies, evenly spaced in time, fewer if it waits. Its body at the end of the part is solid
-    and numbered. An invalid path or number raises ``ValueError``.
+    The part lasts from ``begin`` to ``end``, fractions of the path's duration. Each robot's path is a line. Faded
+    bodies show the robot at ``num_poses`` evenly spaced times; a robot that waits has fewer. The body at the end of
+    the part is solid and numbered. An invalid path or number raises ``ValueError``.
     """
     if not 0 <= begin < end <= 1:
         raise ValueError(f"begin and end must be shares with 0 <= begin < end <= 1, got {begin!r} and {end!r}.")
@@ -273,9 +276,10 @@ def plot_path(
 
 
 def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -> Axes:
-    """Draw the positions in ``solution.samples``, ``(n, robots, dof)``, as dots in a picture of the problem.
+    """Draw positions, such as ``solution.samples``, as dots in a picture of the problem.
 
-    Fig. 4 of the paper (Putman et al.) is such a picture. Samples of another shape raise ``ValueError``.
+    The samples have the shape ``(n, robots, dof)``; another shape raises ``ValueError``. Fig. 4 of the paper (Putman
+    et al.) is such a picture.
     """
     shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
     samples = as_numbers("Samples", samples, f"numbers of shape {shape}")

@@ -80,9 +80,9 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return the polygons of a PLR's surface in space: each cell, or each free part of it, raised to its values.
+    """Return a PLR's surface as polygons in space, ``(corners, 3)``: cells, raised to the values of their leaves.
 
-    Polygons with a value that is not finite are left out.
+    With a workspace, the polygons are the free parts of cells. Polygons with a value that is not finite are left out.
     """
     # 1. List the polygons of each cell. A box of the partition gives one cell, so `leaf_of_box` is the cell's leaf.
     cells = _cells_of(plr, Slice.of(plr.domain, None))
@@ -147,17 +147,18 @@ def plot_contours(
     """Draw a distance function, or another cost-to-go, as colors with contour lines.
 
     Args:
-        plr: The PLR. Points without a finite value stay blank.
+        plr: The PLR, or another function of a box. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
         workspace: The workspace whose obstacles are drawn on top; values inside obstacles have no meaning. With a
             ``goal``, free regions that are disconnected from the goal are gray too.
-        space: Alternatively, a configuration space: points that are not free are gray.
+        space: Instead of a workspace, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
             drawn, such as ``{2: 0.5}``. Angles are in radians.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
-        resolution: Number of samples along the longer side of the domain; contour lines need two along the other.
+        resolution: Number of samples along the longer side of the domain. Contour lines need at least two samples
+            along the other side.
 
     Raises:
         ValueError: If ``at`` does not leave two axes or is outside the domain, the workspace or space has other axes,
@@ -207,7 +208,7 @@ def draw_values(
 ) -> AxesImage:
     """Draw ``values`` at the ``points`` of a slice, and return the image of their colors.
 
-    Colors range from 0 to ``largest``. Up to ``num_levels`` contour lines are added. Points that are ``closed`` are
+    Colors range from 0 to ``largest``. At most ``num_levels`` contour lines are added. Points that are ``closed`` are
     covered in gray.
     """
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
@@ -257,17 +258,19 @@ def plot_error(
     unit: str = WORKSPACE_UNITS,
     largest: float | None = None,
 ) -> Axes:
-    """Draw the error ``|L - V|`` of an approximation over free space, as in Fig. 2 of the paper.
+    """Draw errors ``|L - V|`` of an approximation ``L`` of distances ``V`` in free space, as in Fig. 2 of the paper.
 
     Args:
         errors: Result of ``metrics.error_grid``: errors at the cell centers of a grid, row 0 at the lowest ``y``. NaN
             is blank, infinite errors (points without an answer) are red. At least one is finite.
-        workspace: The workspace of the errors, whose obstacles are drawn on top; or their configuration space.
+        workspace: The workspace in which the errors were measured, whose obstacles are drawn on top; or their
+            configuration space.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors, such as "m".
-        largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it and clips
-            errors beyond its ends. By default the 99.9 % quantile. Use the same number in pictures to compare.
+        largest: Error at the upper end of the logarithmic color scale; its lower end is a thousandth of it. Errors
+            beyond the ends get the colors of the ends. By default the 99.9 % quantile. Give the same number to
+            pictures that are to be compared.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]
@@ -319,9 +322,9 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into the parts that contain a goal, and the other parts.
+    """Split free space into the polygons from which a goal can be reached, and the other polygons.
 
-    If no goal is in free space, all parts count as parts with a goal.
+    If no goal is in free space, all polygons count as reached.
     """
     parts = shapely.get_parts(workspace.free_space)
     is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
@@ -329,7 +332,7 @@ def _split_by_reachability(
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:
-    """Return the rectangles in which the boxes of a PLR meet a slice: four corners each, counterclockwise."""
+    """Return the rectangles in which boxes of a PLR's leaves meet a slice: four corners each, counterclockwise."""
     # 1. Along the axes that are fixed, a cell holds the coordinates lo <= at < hi; the last cell holds its hi too.
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     fixed = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]

@@ -53,9 +53,10 @@ def slices(
     Args:
         plr: The PLR, or another function of a box.
         axis: The axis along which slices are stacked, counted from 0.
-        count: Number of slices, from 1 to 64: the middles of equally thick layers of the domain.
-        space: The configuration space: points that are not free, or have no value, are gray. None: they stay blank.
-        goal: A configuration, ``(dim,)``. The nearest slice is moved to contain it, and marks it with a star.
+        count: Number of slices, from 1 to 64. The slices are the middles of equally thick layers of the domain.
+        space: The configuration space: points that are not free, or have no value, are gray. None: points without a
+            value stay blank.
+        goal: A configuration, ``(dim,)``. The nearest slice is moved to contain the goal, which a star marks.
         at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".

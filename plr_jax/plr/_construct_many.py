@@ -126,8 +126,8 @@ def _files(
 ) -> list[bytes]:
     """Return the bytes of the file of each oracle's PLR.
 
-    ``task`` builds the PLRs of several oracles together. ``alone`` builds a PLR that the task leaves out; without a
-    task, it builds all of them.
+    ``task`` builds PLRs with the leaf model ``leaf`` for several oracles together, but may leave out some. ``alone``
+    builds the PLR of a single oracle: of each one that the task leaves out, and of all if there is no task.
     """
     if task is None:
         return [alone(oracle).to_bytes() for oracle in oracles]

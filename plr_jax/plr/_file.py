@@ -35,9 +35,9 @@ class DecodedFile:
 
 
 def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves"] | None:
-    """Return whether each leaf holds free points that cannot reach the goal, and no point that can.
+    """Return whether each leaf holds free points that cannot reach the goal, and no point that can reach it.
 
-    Return None if this is not known.
+    Return None if ``reach`` is None, that is, if such points are unknown.
     """
     return None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
 
@@ -97,11 +97,11 @@ def decode(data: bytes) -> DecodedFile:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the leaves' domain, relative to ``origin``, and the leaf parameters, the numbers that a query reads.
+    """Return the leaves' domain and the numbers of each leaf that a query reads, for points relative to ``origin``.
 
-    The query computes with points relative to ``origin``, from which it subtracts the domain's lower corner in 32-bit
-    floats; the parameters are for the difference. If the PLR is folded, the center of the mirrors replaces
-    ``origin``.
+    From such a point, the query subtracts the domain's lower corner in 32-bit floats; the numbers are coefficients of
+    functions of this difference. If the PLR is folded, ``origin`` is not used: folded points are relative to the
+    center of the mirrors.
     """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
@@ -116,8 +116,8 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
     """Return the coefficients of each leaf's function.
 
-    A leaf without a function gets the plane of a neighbor. If it has no neighbor with a function, or is cut off from
-    the goal, its first coefficient is ``inf``, which stands for the constant ``inf``.
+    A leaf without a function gets the plane of a neighbor with a function. If it has no such neighbor, or is cut off
+    from the goal, its first coefficient is ``inf``: the leaf answers ``inf``.
     """
     # 1. Find the leaves without a function. Leaves that are cut off answer ``inf``.
     leaf, cells = contents.leaf, contents.tree.leaves

@@ -38,10 +38,10 @@ class PLR(FileBacked):
     """A distance function compressed into a tree of cells: each final cell, a *leaf*, stores a simple function.
 
     :func:`construct` and :func:`load` make PLRs. ``plr(x)`` evaluates a PLR: see :func:`evaluate`. A PLR is immutable
-    and a pytree of arrays: a jitted function can close over it or take it as an argument. A function that takes it as
-    an argument can only query it, since properties like ``domain`` need concrete arrays. If arrays of a PLR are
-    replaced, as by ``jax.tree.map``, queries use the new arrays, but the file, proof and exports raise
-    ``ValueError``. Reference: Putman et al., Section III.
+    and a pytree of arrays: a jitted function can close over it or take it as an argument. As an argument, a PLR can
+    only be queried, since properties like ``domain`` need concrete arrays. If arrays of a PLR are replaced, as by
+    ``jax.tree.map``, queries use the new arrays, but the file, proof and exports raise ``ValueError``. Reference:
+    Putman et al., Section III.
 
     ``jax.grad`` differentiates with respect to points, but raises ``TypeError`` with respect to the PLR, because a
     PLR has integer tables.
@@ -63,7 +63,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven bounds of (distance - PLR's value), or None without a proof: a row of lower and one of upper bounds.
+        """Proven lower (row 0) and upper (row 1) bounds of (distance - PLR's value); None without a proof.
 
         There is one column if all leaves share the bounds, else a column per leaf, padded to a power of two.
         """
@@ -106,10 +106,10 @@ class PLR(FileBacked):
         return evaluate_anywhere(tables, x, as_outside(outside))
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
-        """Return a NumPy reader that answers at these points as JAX does, but without compiling; None if it cannot.
+        """Return a NumPy reader that answers at points ``x`` as JAX does, but without compiling; None if it cannot.
 
-        The reader answers at most 4,096 points that are not traced, unless ``jax_enable_x64`` is set or the PLR's
-        arrays were replaced.
+        It can answer at most 4,096 points of 32 or 64 bits that are not traced. It cannot if ``jax_enable_x64`` is
+        set, the PLR's arrays were replaced, or the points have 32 bits and the domain is far from the origin.
         """
         if not is_on_one_host(x) or has_doubles() or x.size > _FEW * self.tables.dim:
             return None
@@ -128,9 +128,10 @@ class PLR(FileBacked):
     def tables_and_points(self, x: Array | np.ndarray) -> tuple[Tables, Array | np.ndarray]:
         """Return the lookup tables for a query at points ``x``, and the points in the form that these tables take.
 
-        Compiled code rounds points to 32 bits. Before that, this method moves NumPy's 64-bit points into the domain
-        along periodic axes and, in a domain far from the origin, makes them relative to its lower corner. Other
-        points are unchanged.
+        Compiled code rounds points to 32 bits, unless ``jax_enable_x64`` is set. Therefore 64-bit NumPy points are
+        changed first: they are moved into the domain along periodic axes. If the domain is far from the origin and
+        ``jax_enable_x64`` is not set, they are also made relative to its lower corner. Other points stay as they are,
+        and so do all points if the PLR is traced.
         """
         is_double = not isinstance(x, jax.Array) and x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,)
         if not is_double or isinstance(self.file, Tracer):
@@ -474,7 +475,7 @@ class LowerBound:
 
 
 def from_bytes(data: bytes) -> PLR:
-    """Decode a PLR from the result of :meth:`PLR.to_bytes`; it gives the same answers, bit for bit.
+    """Decode a PLR from the result of :meth:`PLR.to_bytes`; both PLRs give the same answers, bit for bit.
 
     ``ValueError`` if the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
     floats, or the lookup tables would be far larger than usual for a file of this size.

@@ -26,7 +26,7 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
     """Prove the bounds of several PLRs of one leaf model and one domain at once; see :func:`certificate_of`.
 
-    ``visible`` has the leaves of all PLRs as its cells, one PLR after another.
+    The cells of ``visible`` are the leaves of all PLRs, one PLR after another.
     """
     # 1. Concatenate the functions of all leaves. A leaf without a function may have no point that reaches the goal.
     domain, leaf = contents[0].domain, contents[0].leaf
@@ -68,9 +68,9 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """A function that tells when a proof can stop: it returns error bounds that suffice for the file of one PLR.
+    """A function of attained errors that returns error bounds that suffice for the file of one PLR.
 
-    The PLR is one of several that are proven together.
+    A proof of several PLRs uses one such function for each PLR to tell when it can stop.
     """
 
     leaves: slice  # the PLR's leaves among all
@@ -85,7 +85,8 @@ class _Targets:
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.
 
-        See ``SufficientFn`` in ``certificate.py`` for the arguments.
+        ``least`` and ``most`` are the smallest and largest errors found so far in each leaf. If ``recompute`` is
+        False, bounds for an earlier file may be returned.
         """
         # Tighter bounds would hardly change the file of the attained errors. Encode this file again only if attained
         # errors changed, since late in a proof, few PLRs still improve. If `recompute` is False, an earlier file

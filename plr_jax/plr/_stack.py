@@ -1,10 +1,11 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-A stack finds a point's leaf in a *trie*, level by level. The tables of the trie, *pages*, have an entry for each cell
-of a grid. The first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
-An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i`` to row ``i`` of the
-leaf parameters. The first ``num_rows`` entries refer to themselves: entry ``i`` is ``2 * i``. So once a row is found,
-reading further levels does not change it::
+A stack finds a point's leaf in a *trie*, level by level. Each level consists of *pages*: a page is a table with an
+entry for each cell of a grid. The grid of a PLR's first page covers its domain. The grid of any other page covers a
+cell of the level above that overlaps several leaves. All pages are parts of one array. An odd entry ``2 * i + 1``
+leads to the page that starts at index ``i``, an even entry ``2 * i`` to row ``i`` of the leaf parameters. The first
+``num_rows`` entries refer to themselves: entry ``i`` is ``2 * i``. So once a row is found, reading further levels
+does not change it::
 
     0             num_rows                                                                       entries
     | 0, 2, 4, ... | first page of PLR 0 | first page of PLR 1 | ... | other pages of PLR 0, 1, ... |
@@ -56,9 +57,9 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 def trie_levels(bits: PerAxis) -> list[PerAxis]:
     """Choose the grids of a trie's levels: return how often each grid halves each axis of the domain.
 
-    The first array is 0 (the whole domain), the last is ``bits``, the halvings of the finest leaves. The first page
-    has up to ``_FIRST_BITS`` index bits. The other halvings are spread evenly over as few levels as ``_PAGE_BITS``
-    allows.
+    The first array is 0 (the whole domain), the last is ``bits``, the halvings of the finest leaves. The first level
+    has up to ``2**_FIRST_BITS`` cells. The other halvings are spread evenly over as few levels as possible, with at
+    most ``_PAGE_BITS`` halvings in each.
     """
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for levels_left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
@@ -70,8 +71,8 @@ def trie_levels(bits: PerAxis) -> list[PerAxis]:
 def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[PerAxis]) -> Trie:
     """Build the trie of several PLRs.
 
-    ``partitions`` has the leaves of each PLR, ``rows`` the index of each leaf's row of parameters, and ``levels`` the
-    result of :func:`trie_levels`. ``ValueError`` if leaves are too deep or entries are too many.
+    ``partitions`` has the leaves of each PLR, ``rows`` the row of each leaf in the table of leaf parameters, and
+    ``levels`` the result of :func:`trie_levels`. ``ValueError`` if leaves are too deep or entries are too many.
     """
     # 1. Masks and shifts that turn the fraction bits between two levels into a row-major index into a page:
     #
@@ -110,8 +111,8 @@ def _pages(
 ) -> Iterator[UInt32[np.ndarray, " entries"]]:
     """Yield the trie's entries for one PLR, an array for each level.
 
-    ``row`` has the row of parameters of each leaf, ``levels`` the result of :func:`trie_levels`. ``next_start`` is
-    the place in the trie where the second level begins.
+    ``row`` has the index of each leaf's row of parameters, ``levels`` the result of :func:`trie_levels`.
+    ``next_start`` is the index in the trie at which the PLR's second level begins.
     """
     # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
     page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
@@ -143,8 +144,8 @@ def _page_entries(
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
 
-    The pages are cells of the ``begin`` grid, given by their row-major indices ``page``. A page has an entry for each
-    cell of the ``end`` grid in it.
+    Pages belong to cells of the coarser ``begin`` grid, whose row-major indices are ``page``. A page has an entry for
+    each cell of the ``end`` grid in its own cell.
     """
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
@@ -248,7 +249,7 @@ class PLRStack:
         """Return proven lower and upper bounds of the distance of a PLR at each point; see :meth:`PLR.bounds`.
 
         Arguments, shapes and errors are as for calling the stack. ``ValueError`` also if a PLR of the stack has no
-        proof. A PLR whose arrays were replaced before it was stacked has none.
+        proof. A PLR whose arrays were replaced before it was stacked has no proof.
         """
         self._require_bands()
         return self._query(index, x, None)
@@ -267,7 +268,7 @@ class PLRStack:
             raise ValueError("Every PLR of the stack must have a proof: see certify.")
 
     def _query(self, index: ArrayLike, x: ArrayLike, outside: Outside | None) -> Any:
-        """Check the arguments; return a tuple of distances or, if ``outside`` is None, of lower and upper bounds."""
+        """Check the arguments; return a tuple: distances or, if ``outside`` is None, lower and upper bounds."""
         # 1. Check index and points. A single NumPy point is repeated by JAX's or NumPy's broadcasting.
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -293,8 +294,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
     PLRs must be of one dimension. A stack is fastest if all have one leaf model; otherwise every point reads the
     tables of each model. To evaluate one PLR for each robot of a team, use :meth:`PLR.stack`. ``ValueError`` if
-    ``plrs`` is no list of at least one such PLR, a PLR's leaves are too deep, or all tables together are too large
-    for 32-bit indices.
+    ``plrs`` is no list of at least one PLR, dimensions differ, a PLR's leaves are too deep, or all tables together
+    are too large for 32-bit indices.
     """
     # 1. Make each PLR's tables. Tables of a far domain take points relative to its corner.
     plrs = as_plrs(plrs)
@@ -335,7 +336,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside | None) -> tuple[Array, ...]:
     """Return the distances of PLR ``index`` at each point or, if ``outside`` is None, lower and upper bounds.
 
-    All are NaN where the stack has no PLR of this index.
+    The results are NaN where the stack has no PLR of this index.
     """
     # 1. Broadcast; PLR 0 takes the place of PLRs that do not exist.
     shape = jnp.broadcast_shapes(index.shape, x.shape[:-1])

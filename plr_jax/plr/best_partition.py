@@ -1,9 +1,10 @@
 """Find the partition into cone leaves with the least error whose file is within limits, such as a number of bytes.
 
-For a price per leaf, dynamic programming finds the tree of halved boxes with the least error plus prices, upward from
-the smallest boxes. The price, the Lagrange multiplier of the limits, is lowered, and more boxes are computed, until
-the best tree exceeds the limits. Then interpolation approaches the lowest price at which the tree is within the
-limits. Reference: Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
+A partition is a tree of boxes: a box is halved or is a leaf. A leaf costs its error plus a price. For a given price,
+dynamic programming finds the tree of least cost, from the smallest boxes up to the domain. The search lowers the
+price (the Lagrange multiplier of the limits), and computes more boxes, until the best tree exceeds the limits. Then
+it interpolates the lowest price at which the tree is within the limits. Reference: Donoho, "CART and
+best-ortho-basis: a connection", Annals of Statistics 1997.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,10 @@ UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes computed so far on one level, that is, after a certain number of halvings of the domain."""
+    """The boxes computed so far on one level, that is, after a certain number of halvings of the domain.
+
+    Row and column of ``child`` are the split axis and the half (0: lower, 1: upper).
+    """
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, " boxes"]  # hash of each box
@@ -51,7 +55,10 @@ class BoxLevel:
         return self.boxes.integral + weight * self.boxes.peak
 
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
-        """Return, for each axis and box, whether the box may be halved along the axis but has not been so far."""
+        """Return, for each axis and box, whether the box may be halved along the axis but has not been so far.
+
+        ``weight`` is the weight of a leaf's largest error in its cost.
+        """
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -67,7 +74,7 @@ class BoxLevel:
 class TreeCosts(NamedTuple):
     """For each box of a level, the least cost of a tree that has the box as its root.
 
-    The cost of a tree is the sum of its leaves' errors plus a price per leaf.
+    The cost of a tree is the sum of the costs of its leaves (:meth:`BoxLevel.costs`) plus a price per leaf.
     """
 
     best: Float[np.ndarray, " boxes"]  # of each box's best tree of computed boxes, possibly the box alone
@@ -93,7 +100,8 @@ class TreeCosts(NamedTuple):
 def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
     """Return, for each box, the least cost that is expected of a tree that halves the box.
 
-    ``peak`` is the weighted largest error of each box, ``price`` the cost of a leaf beside its error.
+    ``peak`` is each box's largest error, times the weight of this error in the cost of a leaf. ``price`` is added for
+    each leaf.
     """
     # The integral of the error may vanish, and m >= 1 more leaves divide the peak by D**m at best, with D =
     # _MOST_DROP. So trees cost at least the least (1 + m) price + peak D**-m. Leaf m + 1 is worth its price if
@@ -107,7 +115,8 @@ def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.
 def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) -> None:
     """Halve all boxes that the tree of least cost might split, and add the halves to ``levels``.
 
-    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``weight`` times its largest error.
+    The cost of a tree is the sum over its leaves of: ``price``, the integral of the leaf's error, and ``weight``
+    times its largest error.
     """
     # Branch and bound, first up and then down the levels. A box b, with `best` and `least` of `TreeCosts`, is halved
     # along all its open axes if
@@ -147,7 +156,7 @@ Halves: TypeAlias = Int[np.ndarray, " halves"]
 
 
 def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
-    """Halve boxes ``parent`` of level ``depth`` along ``axis``: add the halves to the next level, unless it has them.
+    """Halve boxes ``parent`` of level ``depth`` along ``axis``, and add the halves that are new to the next level.
 
     ``parent`` and ``axis`` have two equal entries for each halving: one for the lower half, one for the upper half.
     """
@@ -191,7 +200,7 @@ Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The tree with the least sum of its leaves' errors and a ``price`` per leaf, stored level by level."""
+    """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
 
     leaves: Leaves  # as indices into the levels' boxes
     axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
@@ -205,12 +214,15 @@ class PricedTree:
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of a leaf's peak (largest error) in its cost, for trees of about ``num_leaves`` leaves."""
+    """Return the weight of a leaf's largest error in its cost, beside the integral of its error with weight 1.
+
+    It depends on the expected number of leaves of the tree, and on whether errors are proven.
+    """
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
-    """The boxes of a level that the best tree at the current or a higher price per leaf may contain."""
+    """The boxes of a level that may be in the best tree at the current price per leaf, or at a higher one."""
 
     box: Int[np.ndarray, " own"]  # indices of the selected boxes in the level
     child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level, or UNKNOWN
@@ -220,8 +232,8 @@ class PriceSearch:
     """A search for the tree of least error whose file is within limits, such as a number of bytes.
 
     It finds trees of least error plus a price per leaf, and lowers the price. ``levels`` has the known boxes, first
-    the root; ``size(tree)`` returns the bytes of a file. ``num_sources``, the number of possible apexes of cones,
-    only affects the first price.
+    the root; ``size(tree)`` returns the bytes of the tree's file. ``num_sources``, the number of possible apexes of
+    cones, only affects the first price.
     """
 
     def __init__(
@@ -242,7 +254,7 @@ class PriceSearch:
     def next(self, now: PricedTree) -> PricedTree | None:
         """Return the best tree at a lower price per leaf than the tree ``now``; None if ``now`` ends the search.
 
-        If the tree at the lower price exceeds the limits, return the largest tree found between both prices.
+        If the tree at the lower price exceeds the limits, return the largest tree found that is within the limits.
         """
         if now.is_final:
             return None
@@ -259,14 +271,17 @@ class PriceSearch:
         return sum(len(level.key) for level in self.levels)
 
     def _is_finest(self, tree: PricedTree, weight: float) -> bool:
-        """Return whether no leaf of positive cost may still be halved, so that more boxes cannot improve the tree."""
+        """Return whether no leaf of positive cost may still be halved, so that more boxes cannot improve the tree.
+
+        ``weight`` is the weight of a leaf's largest error in its cost.
+        """
         for level, boxes in zip(self.levels, tree.leaves, strict=False):
             if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
                 return False
         return True
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return a lower price, for a larger tree, and the weight of a leaf's largest error in its cost."""
+        """Return a lower price, for a larger tree, and the weight of a leaf's largest error in the leaf's cost."""
         # 1. Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -287,7 +302,10 @@ class PriceSearch:
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:
-        """Return the best tree at a price per leaf. The size of its file is computed only if bytes are limited."""
+        """Return the best tree at a price per leaf; compute the size of its file only if bytes are limited.
+
+        ``weight`` is the weight of a leaf's largest error in its cost.
+        """
         tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
@@ -318,7 +336,7 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, weight: float) -> None:
-        """Store in ``_selected`` the boxes that the best tree at this or a higher price may contain."""
+        """Store in ``_selected`` the boxes that the best tree at ``price`` or a higher price may contain."""
         # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
         # the root along all other halvings.
         nodes, selected = np.zeros(1, np.int64), []
@@ -336,7 +354,10 @@ class PriceSearch:
         self._selected = selected
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
-        """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``."""
+        """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``.
+
+        ``weight`` is the weight of a leaf's largest error in its cost.
+        """
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.

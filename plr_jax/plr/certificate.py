@@ -34,13 +34,13 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
     ``visible`` has the *sources* of each piece: corners (or the goal) to which shortest paths from the piece go
-    first; every piece has at least one. A source's cone is its distance to the goal plus ``|x - source|``. The
-    distance is at least the least cone, and at most the cone of any source that the whole piece sees. If there is no
-    such source, the distance at ``x`` is at most the distance at the piece's center plus the straight line from ``x``
-    to the center.
+    first; every piece has at least one. The cone of a source is its distance to the goal plus ``|x - source|``. The
+    distance at ``x`` is at least the minimum of all cones. It is at most the cone of any source that the whole piece
+    sees. If there is no such source, it is at most the distance at the piece's center plus the straight line to the
+    center.
 
-    Entry ``i`` of the results is for ``piece[i]``. ``cones_above`` is called with these indices ``i``, by which it
-    finds the leaf function of each piece.
+    Entry ``i`` of the results is for piece ``piece[i]``. ``cones_above`` gets the indices ``i``, which tell it the
+    leaf function of each piece.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -63,7 +63,10 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """The functions of several leaves; leaf ``i`` is the box from ``lo[i]`` to ``hi[i]``."""
+    """The functions of several leaves; leaf ``i`` is the box from ``lo[i]`` to ``hi[i]``.
+
+    ``coefficients`` are those of the leaf model ``model``.
+    """
 
     model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
@@ -88,9 +91,9 @@ class LeafFunctions:
         return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, " leaves"]:
-        """Return an upper bound of ``|distance - leaf function|`` in each leaf, a cell of ``visible``.
+        """Return an upper bound of ``|distance - leaf function|`` in each leaf, which is a cell of ``visible``.
 
-        It holds to within ``visible.slack``, and is 0 in a leaf without points that reach the goal.
+        The error may exceed it by ``visible.slack``. It is 0 in a leaf without points that reach the goal.
         """
         lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
@@ -122,7 +125,7 @@ class LeafBounds:
 def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    ``visible`` has convex pieces of the leaves' free space. They are halved until their bounds are as tight as
+    ``visible`` has convex pieces of the leaves' free space. Pieces are halved until their bounds are as tight as
     ``sufficient`` demands. The bounds include ``visible.slack``, the uncertainty of distances.
     """
     # Each leaf has an interval [least, most] of *attained* errors (distance - function), and each piece an interval
@@ -203,7 +206,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Cut the given pieces across the longest axis of their bounding boxes, in the middle.
+    """Cut each of the pieces with the indices ``piece`` in the middle of its bounding box, across the longest axis.
 
     In the result, the lower and the upper half of ``piece[i]`` are cells ``2 * i`` and ``2 * i + 1``.
     """
@@ -235,7 +238,7 @@ class Proof(IntEnum):
     OPEN_LEAVES = 3  # bounds of each leaf, where a leaf with the largest upper code has no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Return the most bits that this kind of proof takes in a file whose leaves take ``num_bytes`` bytes."""
+        """Return the most bits of a proof in a file with ``num_leaves`` leaves, which take ``num_bytes`` bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * CODE_BITS * num_leaves
         # The caller adds the bits of a ``StraightBound``.
         return (0, _MAX_ERROR_BITS + _bits_of_classes(num_bytes), of_leaves, of_leaves)[self]
@@ -260,7 +263,7 @@ class StraightBound:
     """A lower bound of the distance: the cost of the cheapest straight motion to a goal, minus a margin, at least 0.
 
     A motion by the vector ``d`` costs the sum, over groups of axes, of ``rate * |d[axes of the group]|``. Along
-    periodic axes, it goes the short way around.
+    periodic axes, motions go the short way around.
     """
 
     goals: Float[np.ndarray, "goals dim"]  # relative to the domain's lower corner
@@ -277,7 +280,8 @@ class StraightBound:
     def numbers(self) -> Float[np.ndarray, " _"]:
         """The numbers that a file stores: coordinates of the goals, rates of the groups, and the margin.
 
-        Unless ``is_simple``, minus the number of goals and the index of each axis's group come first.
+        Unless ``is_simple``, other numbers come first: the number of goals, negated, and the index of each axis's
+        group.
         """
         header = [] if self.is_simple else [-len(self.goals), *self.groups.argmax(axis=0)]
         return np.concatenate([header, self.goals.ravel(), self.rates, [self.margin]])
@@ -288,7 +292,7 @@ class StraightBound:
 
     @staticmethod
     def read(body: BitReader, dim: int) -> "StraightBound":
-        """Decode a bound from its :attr:`numbers` in a file of a ``dim``-dimensional domain.
+        """Decode a lower bound from its :attr:`numbers` in a file of a ``dim``-dimensional domain.
 
         ``ValueError`` if the numbers are invalid.
         """
@@ -328,8 +332,8 @@ class Certificate:
         """Encode bounds of each leaf's error, widened by ``rounding``, the error of 32-bit queries in the leaf.
 
         For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by the errors and by the
-        ``volume`` of each leaf. They take at most 1/128 of ``num_bytes``, the size of all leaves in a file. If the
-        shared bounds of an earlier certificate ``before`` suffice, they are used again.
+        ``volume`` of each leaf. Their bounds take at most 1/128 of ``num_bytes``, the size of all leaves in a file.
+        If the shared bounds of an earlier certificate ``before`` suffice, they are used again.
         """
         # 1. Lengths of the intervals below and above the leaf's function, and a scale that is at least all of them.
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
@@ -362,7 +366,7 @@ class Certificate:
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
         """Return lower (row 0) and upper (row 1) bounds of (distance - PLR's value).
 
-        There is a column for each leaf, or one for all leaves.
+        There is a column for each leaf, or a single column for all leaves.
         """
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
@@ -400,7 +404,10 @@ class Certificate:
 
 
 def write_proof(body: BitWriter, certificate: Certificate | None, straight: StraightBound | None) -> Proof:
-    """Append error bounds and a straight-line bound to a file's body; return the kind of proof, for its header."""
+    """Append the error bounds and the straight-line bound to a file's body; return the kind of proof, for the header.
+
+    Either may be None.
+    """
     if certificate is None:
         if straight is None:
             return Proof.NONE
@@ -423,7 +430,10 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
 def read_proof(
     body: BitReader, proof: Proof, num_leaves: int, dim: int
 ) -> tuple[Certificate | None, StraightBound | None]:
-    """Decode error bounds and a straight-line bound, the inverse of :func:`write_proof`."""
+    """Decode the error bounds and the straight-line bound of a file of ``num_leaves`` leaves in ``dim`` dimensions.
+
+    This is the inverse of :func:`write_proof`.
+    """
     if proof is Proof.NONE:
         return None, None
     scale = float(body.read_floats(1)[0])

@@ -84,7 +84,7 @@ class BitWriter:
         return self.write(bits_of_floats(values), 32)
 
     def write_set(self, member: Bool[np.ndarray, " n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``: its number of members, then the gaps between them as Exp-Golomb codes."""
+        """Append a subset of ``range(n)``: its size, then the gaps between its members as Exp-Golomb codes."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
@@ -216,9 +216,9 @@ def _extra_bits(values: Int[np.ndarray, " n"], order: int) -> Int[np.ndarray, " 
 
 
 def bits_of_set(num_members: int, size: int) -> int:
-    """Return an upper bound of the bits that a subset of ``range(size)`` takes in a file, by its number of members.
+    """Return the most bits that a subset of ``range(size)`` with ``num_members`` members takes in a file.
 
-    It is 0 for an empty set, which is not written.
+    The number is 0 for an empty set, which is not written.
     """
     # A gap ``g`` takes at most ``2 log2(g + 1) + 1`` bits, a concave function, so equal gaps take the most.
     of_gaps = num_members * (1 + 2 * np.log2(max(size, 1) / max(num_members, 1)))
@@ -226,7 +226,7 @@ def bits_of_set(num_members: int, size: int) -> int:
 
 
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Return the bytes in a file of a binary tree with ``num_leaves`` leaves, and ``num_bits`` bits of data."""
+    """Return the bytes that a tree of ``num_leaves`` leaves and ``num_bits`` bits of leaf data take in a file."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 
