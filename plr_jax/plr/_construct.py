@@ -155,9 +155,9 @@ def construct(
         - ``"continuous"``: values at the leaves' corners, shared by neighbors, in up to 6 dimensions. Smaller errors
           per byte than planes, but slower to build and to query.
         - ``"smooth"``: like ``"continuous"``, but with a continuous gradient, in 1 or 2 dimensions; slower.
-        - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. If the budget has room
-          for all corners (a few bytes each), exact except in leaves from which paths go to different corners first.
-          Needs a distance function in the plane that answers for whole cells.
+        - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. If the budget has
+          room for all corners (a few bytes each), exact except in leaves from which paths go to different corners
+          first. Needs a distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
