@@ -45,7 +45,7 @@ _SIZE_BYTES = 4
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a file: encoded leaves and their proof, with the codes of leaf model and kind of proof."""
+    """A layer of a file: encoded leaves and their proof, with the codes of the leaf model and the proof's kind."""
 
     leaf_code: int
     body: bytes  # encoded tree, leaves and proof
@@ -54,7 +54,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Header:
-    """The header of a file: the domain, and what the layers hold."""
+    """The header of a file: the domain, and the kinds of data in the file's layers."""
 
     domain: Box
     leaf_code: int  # of the last layer
@@ -94,7 +94,10 @@ class Header:
 
     @staticmethod
     def read(data: bytes) -> "Header":
-        """Decode the header of a file; ``ValueError`` if it is invalid, or not in the canonical form of ``data``."""
+        """Decode the header at the beginning of a file's bytes.
+
+        ``ValueError`` if it is invalid, or encoded in another way than :attr:`data` encodes it.
+        """
         # 1. Magic bytes, version and number of axes.
         if data.startswith(_EARLIER):
             raise ValueError(f"it must have format version {VERSION}, but has an earlier one; build it again")
@@ -173,7 +176,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file; ``ValueError`` if it is invalid. If it has several layers, the last ones may be missing."""
+        """Decode a file; ``ValueError`` if it is invalid. A file with several layers may lack the last ones."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
@@ -208,7 +211,7 @@ def holds_pairs(data: bytes) -> bool:
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """Read at most ``MOST_BYTES + 1`` bytes of a file; at most 4,096 if it is no file of a PLR or of pairs."""
+    """Read at most ``MOST_BYTES + 1`` bytes of a file, or at most 4,096 if it is no file of a PLR or of pairs."""
     with open(path, "rb") as file:
         data = file.read(_START)
         if data.startswith((MAGIC, GRID_MAGIC)):  # another file may be endless, such as a device
@@ -260,7 +263,10 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
 
 
 def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
-    """Decode the corners of a domain, floats or decimal numbers; on a periodic axis, the upper end comes first."""
+    """Decode a domain whose coordinates are stored as floats or as decimal numbers.
+
+    The file has the lower corner, then the upper corner. On a periodic axis, the upper end comes first.
+    """
     if is_floats:
         numbers = np.frombuffer(reader.take(16 * dim), "<f8").astype(np.float64)
     else:
@@ -277,7 +283,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 
 
 def _decimals(numbers: list[float]) -> bytes | None:
-    """Encode numbers as integers divided by one power of ten; None if this is inexact or takes too large integers."""
+    """Encode numbers as integers divided by one power of ten; None if this is inexact or integers are too large."""
     shortest = [Decimal(repr(number)) for number in numbers]
     decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
@@ -298,8 +304,8 @@ _REPLACED = (
 class FileBacked:
     """A base class of objects that keep the bytes of their file: PLRs, and distances between any two points.
 
-    Such an object is a pytree of arrays. JAX may make a new object from other arrays (``jax.tree.map``), whose file
-    then does not belong to its arrays.
+    Such an object is a pytree of arrays. JAX may make a new object from other arrays (``jax.tree.map``). The file of
+    the new object then does not belong to its arrays.
     """
 
     tables: Any
@@ -370,7 +376,7 @@ class FileBacked:
 
     @property
     def table_class(self) -> int:
-        """Size of the file in bytes, without its label. The sizes of lookup tables depend on it."""
+        """Size of the file in bytes, without its label; the sizes of lookup tables depend on this size."""
         header = Header.read(self.file_bytes)
         return self.num_bytes - len(header.data) + len(replace(header, label="").data)
 
@@ -405,7 +411,7 @@ class FileBacked:
 
 
 def padded_file(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """Return a file's bytes as an array padded with zeros to a power of two; the last 4 bytes are the file's size."""
+    """Return a file's bytes as an array, padded with zeros to a power of two; the last 4 bytes have its size."""
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
     file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
     return file

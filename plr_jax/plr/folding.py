@@ -44,7 +44,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Box of all points of the domain after mirroring, which a PLR's leaves partition."""
+        """Box that contains all points of the domain after mirroring; a PLR's leaves partition it."""
         # A mirror's pivot becomes 0 or more. The other axes that the mirror reverses may get either sign, so their
         # range becomes symmetric.
         lo, hi = self._range_before_mirroring
@@ -58,7 +58,7 @@ class Folding:
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
-        """The mirrors whose plane has more than ``_CUT`` of the domain's width on both sides."""
+        """The mirrors with more than the fraction ``_CUT`` of the domain's width on both sides."""
         lo, hi = self._range_before_mirroring
         least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)
@@ -91,7 +91,7 @@ class Folding:
 
     @property
     def _reversals(self) -> Bool[np.ndarray, "subsets dim"]:
-        """Whether each subset of mirrors reverses each axis: it does if an odd number of its mirrors does."""
+        """Whether each subset of mirrors reverses each axis: whether an odd number of mirrors in the subset does."""
         num, dim = len(self.mirrors), self.domain.dim
         subsets = np.array(list(product((0, 1), repeat=num)), int).reshape(2**num, num)
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
@@ -108,9 +108,10 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, " pieces"]]:
-        """Return the boxes of leaves and their mirror images in the domain, given the leaves' corners ``lo``, ``hi``.
+        """Return the boxes of leaves with corners ``lo`` and ``hi``, and their mirror images, cut to the domain.
 
-        The results are lower corners, upper corners, and the index of each box's leaf.
+        The results are lower corners, upper corners, and the index of each box's leaf. ``ValueError`` if the folding
+        rotates points.
         """
         if self.is_turned:
             raise ValueError(

@@ -1,7 +1,8 @@
 """The layout that all readers of a PLR share: its domain in 32-bit floats, and the sizes of its lookup tables.
 
 Two grids locate a point's leaf. A *block* is a cell of a coarse grid with ``2**block_bits`` cells along each axis. In
-each block, a finer grid separates the leaves. A cell of it is a *slot*, and has one entry in a lookup table.
+each block, a finer grid separates the leaves. A *slot* is a cell of a finer grid, and has one entry in a lookup
+table.
 """
 
 from enum import IntEnum
@@ -56,9 +57,10 @@ def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
 def slots_in_blocks(cells: Cells, block_bits: PerAxis, shape: PerBlock) -> tuple[Pairs, Pairs, OfPairs, OfPairs]:
     """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
 
-    The coarse grid has ``2**block_bits`` cells along each axis. The finer grid of block ``i`` has ``2**shape[i]``
-    (:func:`block_shapes`). For each pair, return the index of the leaf and the row-major index of the block. Also
-    return the overlap in the finer grid of this block: its first cell, and its number of cells along each axis.
+    The coarse grid has ``2**block_bits`` cells along each axis. The finer grid in block ``i`` has ``2**shape[i]``
+    cells along each axis (:func:`block_shapes`). For each pair, return the index of the leaf and the row-major index
+    of the block. Also return the overlap in the finer grid of this block: its first cell, and its number of cells
+    along each axis.
     """
     #   position of a leaf along an axis, in binary   | block | `below` bits |
     #   its first slot in the block                           | `below` bits | zeros |      `shape` bits
@@ -89,7 +91,7 @@ def enumerate_boxes(
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
     """Enumerate the integer points ``p`` of all boxes ``first <= p < first + count``.
 
-    Return the index of each point's box, and the points.
+    Return the index of each point's box, and each point.
     """
     # Points of a box are numbered in row-major order; the digits of this number, the last axis lowest, are the
     # offsets.
@@ -104,7 +106,7 @@ def enumerate_boxes(
 def spread_bits(bits: PerAxis, most: int) -> PerAxis:
     """Distribute up to ``most`` halvings over the axes; axis ``i`` needs ``bits[i]`` halvings.
 
-    Each halving goes to the axis that lacks the most. Return the number of halvings of each axis.
+    Each halving goes to the axis that still needs the most. Return the number of halvings of each axis.
     """
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
@@ -124,7 +126,7 @@ def row_major(slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | 
 
 
 def byte_class(num_bytes: int) -> int:
-    """Return the size class of a file: log2 of its bytes, rounded up, at least 8."""
+    """Return the size class of a file of ``num_bytes`` bytes: the logarithm to base 2, rounded up, at least 8."""
     return max(_MIN_CLASS, (num_bytes - 1).bit_length())
 
 
@@ -134,10 +136,10 @@ def rows_of_class(of_class: int, least_bytes: int | float) -> int:
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the least number of entries of a lookup table for a file with room for ``rows`` leaves.
+    """Return the logarithm to base 2 of the least size of a lookup table for a file with room for ``rows`` leaves.
 
-    Smaller tables are padded to this size, so that most files with equally much room have tables of one shape and
-    share compiled code.
+    The size is a number of entries. Smaller tables are padded to this size, so that files with equally much room
+    mostly have tables of one shape and share compiled code.
     """
     return next((bits for most, bits in _SLOT_BITS if rows <= most), _MAX_FLAT_BITS)
 
@@ -184,8 +186,8 @@ def as_outside(outside: str) -> Outside:
 class Frame(IntEnum):
     """The rows of an array ``(7, dim)`` that describes a domain in 32-bit floats.
 
-    To locate a point ``x`` of the domain, a query computes ``(x - LO) * SCALE + START``, a float from 1 to below 2.
-    Its mantissa bits are the point's position, a binary fraction of the domain's width.
+    To locate a point ``x`` of the domain, a query computes ``(x - LO) * SCALE + START``, a float at least 1 and below
+    2. The mantissa bits of this float are the point's position, a binary fraction of the domain's width.
     """
 
     LO = 0  # lower corner, rounded outward
@@ -231,7 +233,7 @@ def _largest_coordinates(domain: Box) -> Corner:
 
 
 def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"]:
-    """Split each 64-bit number into three 32-bit floats whose sum is the number."""
+    """Split each 64-bit coordinate into three 32-bit floats whose sum is the coordinate."""
     first = corners.astype(np.float32)
     second = (corners - first).astype(np.float32)
     return np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1)
@@ -265,9 +267,9 @@ def folding_numbers(
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"], Float[np.ndarray, "dim dim"] | None, Mirrors]:
     """Return a folding's center, corners, axes and mirrors in 32-bit floats, for points relative to ``origin``.
 
-    The center is the sum of its two rows. The corners are the ends of the box of folded points: infinite along
-    periodic axes, else rounded inward. Axes are None if the folding does not rotate points. A mirror is a pair of a
-    *pivot* axis and all axes that it reverses; it mirrors the points whose coordinate along the pivot is negative.
+    The center is the sum of two rows of floats. The corners are the ends of the box of folded points: infinite along
+    periodic axes, else rounded inward. Axes are None if the folding does not rotate points. A mirror is a pair: its
+    *pivot* axis, and all axes that it reverses. It is applied to points whose coordinate along the pivot is negative.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)

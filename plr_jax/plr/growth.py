@@ -28,7 +28,7 @@ GrowingTree = TypeVar("GrowingTree", bound=Sized)  # a partition; its length is 
 
 
 class BudgetTooSmall(ValueError):
-    """An error: a byte budget is too small even for a single leaf, whose file takes ``num_bytes``."""
+    """An error: a byte budget is too small even for a file with a single leaf, which takes ``num_bytes``."""
 
     def __init__(self, max_bytes: float, num_bytes: int):
         super().__init__(max_bytes, num_bytes)  # all arguments, for pickling
@@ -45,7 +45,7 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of a construction; it ends at the first one that it reaches."""
+    """The limits of a construction, which ends at the first limit that it reaches."""
 
     max_depth: int
     max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
@@ -58,7 +58,7 @@ class Limits:
     def file_size(self, dim: int, num_leaves: int, num_bits: int, num_cut_off: int = 0) -> int:
         """Return the largest size in bytes of a file whose leaves take ``num_bits`` bits, including its proof.
 
-        ``num_cut_off`` is the number of leaves that the file names because they are cut off from the goal.
+        ``num_cut_off`` is the number of leaves that the file lists as cut off from the goal.
         """
         num_bits += bits_of_set(num_cut_off, num_leaves)
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
@@ -154,7 +154,7 @@ def nodes_of_fit(
     """Turn fitted cells into leaves of the growing tree; ``key_of_parent`` has their parents' keys (:class:`Nodes`).
 
     ``priority`` and ``axis`` are what the rules ``should_split`` and ``split`` returned for the cells. A cell may be
-    split if its priority is larger than tolerance and noise, and it is not too deep.
+    split if its priority is larger than the tolerance and the noise of distances, and if it is not too deep.
     """
     check_rules(fit, priority, axis)
     priority, axis = urgent_first(fit, priority, axis)
@@ -177,10 +177,10 @@ def nodes_of_fit(
 def urgent_first(
     fit: CellFit, priority: Float[np.ndarray, " cells"], axis: Int[np.ndarray, " cells"]
 ) -> tuple[Float[np.ndarray, " cells"], Int[np.ndarray, " cells"]]:
-    """Return the priorities and split axes of cells, with other ones for urgent cells (see :class:`CellFit`).
+    """Return the priorities and split axes of cells, after replacing those of urgent cells (see :class:`CellFit`).
 
-    An urgent cell has a priority near the largest float, halved with each split, so that large cells come first. Its
-    axis is ``fit.urgent_axis``.
+    An urgent cell gets a priority near the largest float, halved with each split, so that large cells come first. Its
+    axis becomes ``fit.urgent_axis``.
     """
     is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
@@ -239,7 +239,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
     Two kinds of axes are excluded: axes at the depth limit, and axes along which the halves would be shorter than 1/8
-    of another side, in fractions of the domain. If all axes are excluded, return axis 0.
+    of another side, in fractions of the domain's sides. If all axes are excluded, return axis 0.
     """
     cost = _sum_of_squares_after_split(fit)
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)
@@ -295,7 +295,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
     """Return a function that turns cells, and their parents' keys (see :class:`Nodes`), into nodes of a growing tree.
 
     The function samples and fits cells, about a million samples at a time, and calls ``nodes_of(fit, parent_keys)``.
-    Cells in which few samples reach the goal are sampled again with more samples.
+    Cells in which few samples reach the goal are sampled again, more densely.
     """
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
@@ -357,7 +357,7 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Leaves, int]:
-    """Choose the bits per stored value and the tree, within the limits, that have the least expected error.
+    """Choose the number of bits per stored value and the tree, within the limits, that have the least expected error.
 
     For each number of bits, only the largest tree that fits is tried. Return the indices of the leaves and the number
     of bits. ``BudgetTooSmall`` if not even one leaf fits.

@@ -1,8 +1,8 @@
 """Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners.
 
-Pairs of leaves are found by descending from pairs of nodes, without the pairs that do not touch: :func:`leaf_pairs`.
-Finite elements need shared faces and constraints: leaves that share a face must agree on it, which constrains their
-values at corners.
+Pairs of leaves are found from pairs of tree nodes by replacing nodes by their children: :func:`leaf_pairs`. Pairs
+that do not touch are dropped. Finite elements need shared faces and constraints: leaves that share a face must agree
+on the face, which constrains their values at corners.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` tells which new pairs to
+    Each step replaces a pair by two pairs, one for each half of its larger node; ``keep`` tells which new pairs to
     follow. A column of ``pairs`` has a node of ``a``, a node of ``b`` and, in further rows, any data that new pairs
     copy. The columns of the result have indices of leaves instead of nodes.
     """
@@ -76,10 +76,10 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> "csr_array":
-    """Return the square matrix that computes all values from the free values; ``is_free`` is 1 for a free value.
+    """Return the square matrix that computes all values from the independent values, for which ``is_free`` is 1.
 
-    If value ``i`` is not free, row ``i`` of ``step`` has the weights of the sum of other values that determines it.
-    There must be no cycles.
+    If ``is_free[i]`` is 0, value ``i`` is a weighted sum of other values, with the weights in row ``i`` of ``step``.
+    No value may depend on itself.
     """
     from scipy.sparse import csr_array, diags_array
 
@@ -93,7 +93,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"], most_weights: int) -> "csr_array":
-    """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
+    """Return a square matrix ``m`` with ``rows @ m == 0``; it maps any values to solutions of these equations.
 
     Each row is an equation, and is solved for its variable of the highest ``level``, a number given for each
     variable. Among several such variables, the one with the largest absolute weight is chosen; among equal weights,
@@ -138,7 +138,10 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
 
 
 def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
-    """Add ``factor * other`` to a sparse row in place; return the number of weights in ``other``."""
+    """Add ``factor * other`` to the sparse ``row`` in place; return the number of weights in ``other``.
+
+    A sparse row maps indices to weights.
+    """
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > ZERO:
@@ -164,7 +167,8 @@ def neighbor_of_largest_contact(
 ) -> Int[np.ndarray, " m"]:
     """For each leaf in ``unreachable``, find the leaf in ``reachable`` with which it shares the largest face.
 
-    If there is none, an edge or a corner counts. Return indices of leaves; -1 if no reachable leaf touches the leaf.
+    A shared edge or corner counts as a tiny face. Leaves are indices; the result is -1 if no reachable leaf touches
+    the leaf.
     """
     tree = tree_of(cells)
     leaf_of_cell = np.argsort(tree.order)  # inverse permutation of `order`, the index in `cells` of each leaf
@@ -204,8 +208,9 @@ def touching_leaves(
 def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, " pairs"]:
     """Return the size of the face that the two cells of each pair share; tiny for an edge or a corner, 0 if apart.
 
-    The size is a product over the axes of the length along which both cells meet, as a share of the domain.
-    ``finest`` has the largest depth of cells along each axis.
+    The size is the product, over the axes, of the lengths along which both cells meet, in fractions of the domain.
+    Along an axis on which cells only touch, the length counts as tiny. ``finest`` has the largest depth of cells
+    along each axis.
     """
     # Along an axis, in widths of finest cells:
     #     lo[0] ------------- hi[0]
@@ -272,7 +277,8 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
     """Return ``k`` points of each face, as fractions of the domain.
 
-    ``w`` has their places in a face, from 0 to 1 along each axis; the coordinate across the face has no effect.
+    ``w`` has the positions of the points in a face, from 0 to 1 along each axis; the coordinate across the face has
+    no effect.
     """
     # A face is the intersection of both leaves' sides. Along its axis, it is where the lower leaf ends.
     size = np.ldexp(1.0, -cells.depth)

@@ -33,7 +33,7 @@ UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
 class LeafModel(ABC):
-    """A kind of function that leaves of a PLR hold, such as planes. It is hashable, as compiled queries depend on it.
+    """A kind of function that leaves of a PLR hold, such as planes; models are hashable for compiled queries.
 
     The data of leaves has three forms:
 
@@ -85,9 +85,10 @@ class LeafModel(ABC):
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """Return a leaf's value at a point, by operations whose order is part of the file format.
 
-        All numbers are arrays, scalars or expressions of generated code; ``root`` computes the square root of one.
-        ``parameters`` are the leaf's parameters without the numbers of its cell. ``place`` has the coordinates of the
-        point: from 0 to 1 across the leaf if ``is_cell_relative``, else measured from the domain's lower corner.
+        All numbers are arrays, scalars or expressions of generated code; ``root`` computes the square root of a
+        number. ``parameters`` are the leaf's parameters without the numbers of its cell. ``place`` has the
+        coordinates of the point: from 0 to 1 across the leaf if ``is_cell_relative``, else measured from the domain's
+        lower corner.
         """
 
     @abstractmethod
@@ -102,7 +103,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
-        """Bound, for each leaf, the error of a query in 32-bit floats, compared with the leaf's exact function."""
+        """Return, for each leaf, an upper bound of the error of evaluating its function in 32-bit floats."""
 
     def num_leaf_parameters(self, dim: int) -> int:
         return 1 + dim
@@ -118,7 +119,7 @@ class LeafModel(ABC):
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
-        """Approximate each leaf's function by a plane: return its value at the leaf's center, and half of its rise.
+        """Approximate each leaf's function by a plane; return the value at the leaf's center, and half of the rise.
 
         The rise is the change of the plane across the leaf along each axis.
         """
@@ -140,7 +141,7 @@ class LinearLeafModel(LeafModel):
 
     @abstractmethod
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
-        """Return the coefficients of planes, given by the value at each leaf's center and half of the rise.
+        """Return the coefficients of planes, given by the value at each leaf's center and half of the plane's rise.
 
         The rise is the change of the plane across the leaf along each axis.
         """
