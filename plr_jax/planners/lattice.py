@@ -66,11 +66,11 @@ class Terminals(NamedTuple):
 class Kind:
     """The lattice that robots of equal shape and rotation weight share, as a table of motions and as a graph.
 
-    ``q`` has the configurations of the nodes: first one for each cell that has a free one, then all starts, then all
-    goals. Entry ``[n, p]`` of the table (``child`` and ``cost``) is the end node and the cost of *primitive* ``p``
-    from node ``n``, such as the motion to the cell on the right. Primitive 0 stays in place. A blocked primitive
-    leads to its own node at infinite cost. Starts and goals belong to one robot each, so no other node of the table
-    leads to them.
+    ``q`` has the configurations of the nodes: first a free configuration of each cell that has one, then all starts,
+    then all goals. A *primitive* is a motion to a neighboring cell. Entry ``[n, p]`` of the table (``child`` and
+    ``cost``) is the end node and the cost of primitive ``p`` from node ``n``. Primitive 0 stays in place. A blocked
+    primitive ends at ``n`` at infinite cost. A start or goal belongs to one robot, so primitives from other nodes do
+    not lead there.
 
     Edge ``e`` of the graph leads from node ``begin[e]`` to node ``end[e]``. First come the free motions of the table,
     then the motions into each robot's start and goal. The last edge is a dummy of infinite cost, which pads lists of
@@ -133,9 +133,9 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, in column ``n``, the edges into node ``n`` that robot ``members[row]`` may use.
+        """Return, in column ``n``, the indices of the edges into node ``n`` that robot ``members[row]`` may use.
 
-        The index of the dummy edge fills up the columns.
+        The index of the dummy edge, of infinite cost, fills up the columns.
         """
         into = self._shared_edges_into_nodes.copy()
         terminal_edges = self.terminal_edges[row]
@@ -153,7 +153,7 @@ class Kind:
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, " steps"]) -> Int[np.ndarray, "motions"]:
-        """Return the index of the cheapest edge from each node of a path to the next node; it must exist."""
+        """Return the index of the cheapest edge from each node of a path to the next node; there must be an edge."""
         order, key = self._edges_and_sorted_keys
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
@@ -223,7 +223,10 @@ class JointLattice:
 
     @cached_property
     def costs_to_go(self) -> list[Float[np.ndarray, " _"]]:
-        """An array for each robot: the least cost from each node of its lattice to its goal if it were alone."""
+        """For each robot, an array of the least costs from the nodes of its lattice to its goal.
+
+        Other robots are ignored.
+        """
         costs = {}
         for kind in self.kinds:
             num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
@@ -235,7 +238,7 @@ class JointLattice:
 
     @property
     def least_costs(self) -> Float[np.ndarray, " robots"]:
-        """The least cost of each robot on its lattice from its start to its goal if it were alone."""
+        """For each robot, the least cost on its lattice from its start to its goal; other robots are ignored."""
         return np.array([cost[lattice.start] for cost, lattice in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
@@ -289,8 +292,8 @@ class CellGrid(NamedTuple):
     ) -> Kind:
         """Add the starts and goals of robots as nodes, and return the lattice of these robots.
 
-        All have the shape ``robot``. ``members`` are their indices in the team, in the order of the rows of
-        ``starts`` and ``goals``.
+        All these robots have the shape ``robot``. ``members`` are their indices in the team, in the order of the rows
+        of ``starts`` and ``goals``.
         """
         # Arrays of terminals hold all starts, then all goals. Rolled by `num_robots`, they hold the other terminal of
         # the same robot.
@@ -356,9 +359,9 @@ class CellGrid(NamedTuple):
     def neighbors(self, cells: Int[np.ndarray, " n"], offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
         """Return the cell at each offset from each given cell, and whether a motion between these two may be free.
 
-        It may if the cells differ and the cell at the offset has a free configuration.
-
-        Cells are row-major indices. Where an offset leads out of the grid, the flag is False.
+        A motion may be free if the two cells differ and the cell at the offset has a free configuration. Where an
+        offset leads out of the grid, the flag is False. Cells are row-major indices; offsets count cells along each
+        axis.
         """
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
@@ -395,7 +398,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Group robots by shape and rotation weight; return, for each such pair, the indices of its robots."""
+    """Group robots by shape and rotation weight; return the indices of the robots with each such pair."""
     kinds = defaultdict(list)
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)

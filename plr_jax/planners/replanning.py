@@ -54,10 +54,10 @@ def replan(
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
-    Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
-    its motion does not end at its goal, or hits an obstacle or a standing robot. If such a robot finds no path among
-    the other robots, robots in its way are replanned too. :func:`bl_plan` plans the whole team if the replanning
-    fails or the new path costs more than ``options.cost_factor`` allows.
+    Robots that keep their routes may get other times, so all must switch to the new path at once. A robot is
+    replanned if its motion does not end at its goal, or hits an obstacle or a standing robot. If such a robot finds
+    no path among the other robots, robots in its way are replanned too. :func:`bl_plan` plans the whole team if the
+    replanning fails or the new path costs more than ``options.cost_factor`` allows.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
@@ -133,9 +133,9 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan robots of a timetable until no motion collides and all end at the robots' goals; return the success.
+    """Replan robots of a timetable until no motion collides and all end at the robots' goals.
 
-    Robots ``fixed`` (indices) stand still. ``step`` is the cell size of the lattices.
+    Return whether this worked. Robots ``fixed`` (indices) stand still. ``step`` is the cell size of the lattices.
     """
     # 1. Find the robots whose motions do not end at their goals, or hit a wall. They block nobody until replanned.
     num_robots, test = len(problem.robots), timetable.test
@@ -343,7 +343,7 @@ class _LifelongTeam:
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """Return each robot's requested goal, or its previous one if robots at requested goals would overlap."""
+        """Return each robot's requested goal, or its previous goal if bodies at requested goals would overlap."""
         # Going back to a previous goal may cause another overlap, so all new goals are then tested again. This ends,
         # since previous goals never overlap, and a goal that went back stays.
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance

@@ -79,7 +79,7 @@ def _with_shortcuts(
     """Return the rows of the path that robot ``i``'s cheapest route visits, and which robots blocked a shortcut.
 
     A route consists of the robot's present motions (from a row to the next) and of straight shortcuts that hit
-    nothing. Motions and shortcuts to try lead from rows ``begin`` to rows ``end``.
+    nothing. The motions and shortcuts to try lead from row ``begin[k]`` to row ``end[k]``.
     """
     # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends in a row at a contact of walls, as
     #    there the path's own motions fix the side on which it passes; except at the ends of the path. A shortcut may
@@ -127,8 +127,8 @@ def _with_shortcuts(
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
     """Lower a path's cost by small shifts of configurations, of one robot or of two nearby robots at a time.
 
-    The first shifts have the length ``width``, in workspace units. It is halved when a round saves little. The
-    function ends after a few halvings, or when the deadline of ``test`` passes.
+    Shifts have the length ``width``, in workspace units, which is halved when a round saves little. The function ends
+    after a few halvings, or when the deadline of ``test`` passes.
     """
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest = width / 2**_NARROWINGS
@@ -154,8 +154,9 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
     """Yield each robot with all rows of the path, and each pair of nearby robots with the rows where they are near.
 
-    Robots are near if their circumscribed discs are closer than a few ``width``. After each group, the caller may
-    move the group's robots in these rows of ``path``, in place. Later pairs are found on the changed path.
+    Robots are near if the gap between their circumscribed discs is less than a few times ``width``. After each group,
+    the caller may move the group's robots in the group's rows of ``path``, in place. Later pairs are found on the
+    changed path.
     """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
@@ -260,10 +261,11 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations to try in each row of robot ``i``'s path ``q``: first its own, then shifted ones.
+    """Return the configurations to try in each row of robot ``i``'s path ``q``: first the present one, then others.
 
-    Positions are shifted by ``width`` along the axes or, if ``diagonal``, along the diagonals. Headings turn so far
-    that the body's farthest point moves by ``width``. The first and the last row are not shifted.
+    The other positions are shifted by ``width`` along the axes or, if ``diagonal``, along the diagonals. The other
+    headings are turned so far that the body's farthest point moves by ``width``. In the first and the last row, all
+    configurations are the present one.
     """
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))

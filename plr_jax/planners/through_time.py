@@ -1,7 +1,8 @@
 """Planning of one robot among other robots through time, on a timetable whose rows are equally far apart in time.
 
 A robot may depart at any row, along a lattice motion or straight, at unit speed. A motion takes as many rows as it
-needs at that speed, so robots do not move in step as in the other searches (Silver, "Cooperative pathfinding", 2005).
+needs at that speed. In the other searches, all robots make one lattice motion in each step. Reference: Silver,
+"Cooperative pathfinding", 2005.
 """
 
 import heapq
@@ -221,8 +222,8 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
     """Return robot ``i``'s motion along waypoints ``q``, with straight motions that skip waypoints where possible.
 
-    The result has a configuration per time step (row of the timetable). The robot reaches waypoint ``q[k]``, unless
-    it skips it, in row ``row[k]`` or earlier, and waits there if it cannot go on yet. In a time step it moves by
+    The result has a configuration per time step (row of the timetable). The robot reaches each waypoint ``q[k]`` that
+    is not skipped in row ``row[k]`` or earlier, and waits there if it cannot go on yet. In a time step it moves by
     ``length``, with turns weighted by ``weight``.
     """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline

@@ -66,7 +66,7 @@ def is_angle(domain: Box, axis: int) -> bool:
 
 
 def axis_label(domain: Box, axis: int) -> str:
-    """Return the name of an axis of the domain with its unit, guessed from the dimension and the angles."""
+    """Return the name of an axis with its unit, guessed from the dimension and from which axes are angles."""
     are_angles = [is_angle(domain, other) for other in range(domain.dim)]
     if are_angles[axis]:
         return f"{'heading' if are_angles == [False, False, True] else f'angle {axis + 1}'} (rad)"

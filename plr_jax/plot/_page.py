@@ -78,7 +78,7 @@ def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
 
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
-    """Return a workspace's obstacles as SVG path data, in pixels, to be filled by the even-odd rule."""
+    """Return a workspace's obstacles as SVG path data, in pixels (:func:`pixels`), for the even-odd fill rule."""
     rings = shapely.get_rings(blocked_polygons(workspace))
     return "".join(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z" for ring in rings)
 
@@ -90,7 +90,7 @@ class Page:
     html: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the page to an ``.html`` file; another ending raises ``ValueError``."""
+        """Write the page to an ``.html`` file; another ending of the name raises ``ValueError``."""
         path = file_path(path)
         if path.suffix.lower() != ".html":
             raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")

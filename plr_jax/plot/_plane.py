@@ -206,10 +206,10 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw ``values`` at the ``points`` of a slice, and return the image of their colors.
+    """Draw ``values`` at the ``points`` of the slice ``shown``, and return the image of their colors.
 
-    Colors range from 0 to ``largest``. At most ``num_levels`` contour lines are added. Points that are ``closed`` are
-    covered in gray.
+    Colors range from 0 to ``largest``. At most ``num_levels`` contour lines are added. Gray covers the points where
+    ``closed`` is True.
     """
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
@@ -237,7 +237,7 @@ def plot_cells(
     at: Mapping[int, float | int] | None = None,
     color: str = _CELL_COLOR,
 ) -> Axes:
-    """Draw the cells of a PLR, one rectangle per leaf; arguments and errors are as for :func:`plot_contours`."""
+    """Draw the boxes of a PLR's leaves as rectangles; arguments and errors are as for :func:`plot_contours`."""
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, None)
     ax = prepare_axes(ax, shown, room_for_colorbar=False)
@@ -263,14 +263,14 @@ def plot_error(
     Args:
         errors: Result of ``metrics.error_grid``: errors at the cell centers of a grid, row 0 at the lowest ``y``. NaN
             is blank, infinite errors (points without an answer) are red. At least one is finite.
-        workspace: The workspace in which the errors were measured, whose obstacles are drawn on top; or their
-            configuration space.
+        workspace: The workspace or the configuration space in which the errors were measured. Obstacles of a
+            workspace are drawn on top.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors, such as "m".
-        largest: Error at the upper end of the logarithmic color scale; its lower end is a thousandth of it. Errors
-            beyond the ends get the colors of the ends. By default the 99.9 % quantile. Give the same number to
-            pictures that are to be compared.
+        largest: Error at the upper end of the logarithmic color scale. The lower end is a thousandth of this error.
+            Errors beyond the ends get the colors of the ends. By default, the 99.9 % quantile. Give the same number
+            to pictures that are to be compared.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]

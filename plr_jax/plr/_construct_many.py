@@ -45,10 +45,10 @@ def construct_many(
         oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
-    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    built together, which is faster than :func:`construct`:
+    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. PLRs of cones of a family
+    are built together, which is faster than :func:`construct`:
 
-    - Without a proof, they are chosen by their mean errors at a grid of up to 512 x 512 points that all goals share.
+    - Without a proof, cones are chosen by their mean errors at a grid of up to 512 x 512 points that all goals share.
       Mean errors are mostly smaller than those of :func:`construct`. Once a PLR is exact at all these points, it
       grows no further, so its file may stay below ``max_bytes``.
     - If ``certified``, the leaves of largest proven error are halved until files are full. ``plr.max_error`` and the
@@ -70,7 +70,8 @@ def construct_many(
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
         options: As for :func:`construct`, except that workers of ``executor``, such as Dask's
             ``Client.get_executor()``, build whole PLRs. Each task builds up to 64 PLRs of a family, or a single PLR.
-            If a worker dies, threads of this process build the missing PLRs. None: one thread per core.
+            If a worker dies, threads of this process build the missing PLRs. If ``executor`` is None, one thread per
+            core builds PLRs.
 
     Returns:
         The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),

@@ -3,7 +3,7 @@
 A partition is a tree of boxes: a box is halved or is a leaf. A leaf costs its error plus a price. For a given price,
 dynamic programming finds the tree of least cost, from the smallest boxes up to the domain. The search lowers the
 price (the Lagrange multiplier of the limits), and computes more boxes, until the best tree exceeds the limits. Then
-it interpolates the lowest price at which the tree is within the limits. Reference: Donoho, "CART and
+it finds, by interpolation, the lowest price at which the tree is within the limits. Reference: Donoho, "CART and
 best-ortho-basis: a connection", Annals of Statistics 1997.
 """
 
@@ -39,7 +39,7 @@ UNKNOWN = -1  # instead of the index of a half that is not computed yet
 class BoxLevel:
     """The boxes computed so far on one level, that is, after a certain number of halvings of the domain.
 
-    Row and column of ``child`` are the split axis and the half (0: lower, 1: upper).
+    ``child[axis, half, i]`` is the index, in the next level, of the lower (0) or upper (1) half of box ``i``.
     """
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
@@ -57,7 +57,7 @@ class BoxLevel:
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
         """Return, for each axis and box, whether the box may be halved along the axis but has not been so far.
 
-        ``weight`` is the weight of a leaf's largest error in its cost.
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
@@ -116,7 +116,7 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     """Halve all boxes that the tree of least cost might split, and add the halves to ``levels``.
 
     The cost of a tree is the sum over its leaves of: ``price``, the integral of the leaf's error, and ``weight``
-    times its largest error.
+    times the leaf's largest error.
     """
     # Branch and bound, first up and then down the levels. A box b, with `best` and `least` of `TreeCosts`, is halved
     # along all its open axes if
@@ -156,7 +156,7 @@ Halves: TypeAlias = Int[np.ndarray, " halves"]
 
 
 def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
-    """Halve boxes ``parent`` of level ``depth`` along ``axis``, and add the halves that are new to the next level.
+    """Halve boxes ``parent`` of level ``depth`` along ``axis``; add the halves to the next level if it lacks them.
 
     ``parent`` and ``axis`` have two equal entries for each halving: one for the lower half, one for the upper half.
     """
@@ -214,15 +214,15 @@ class PricedTree:
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of a leaf's largest error in its cost, beside the integral of its error with weight 1.
+    """Return the weight of a leaf's largest error in the leaf's cost; the integral of the error has the weight 1.
 
-    It depends on the expected number of leaves of the tree, and on whether errors are proven.
+    The weight depends on the expected number of leaves of the tree, and on whether errors are proven.
     """
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
-    """The boxes of a level that may be in the best tree at the current price per leaf, or at a higher one."""
+    """The boxes of a level that may be in the best tree at the current price per leaf, or at a higher price."""
 
     box: Int[np.ndarray, " own"]  # indices of the selected boxes in the level
     child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level, or UNKNOWN
@@ -273,7 +273,7 @@ class PriceSearch:
     def _is_finest(self, tree: PricedTree, weight: float) -> bool:
         """Return whether no leaf of positive cost may still be halved, so that more boxes cannot improve the tree.
 
-        ``weight`` is the weight of a leaf's largest error in its cost.
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
         for level, boxes in zip(self.levels, tree.leaves, strict=False):
             if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
@@ -304,19 +304,20 @@ class PriceSearch:
     def _tree(self, price: float, weight: float) -> PricedTree:
         """Return the best tree at a price per leaf; compute the size of its file only if bytes are limited.
 
-        ``weight`` is the weight of a leaf's largest error in its cost.
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
         tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
-        """Return the share of the limits that a tree takes, more than 1 if it exceeds them."""
+        """Return the share of the limits that a tree uses, more than 1 if the tree exceeds a limit."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
-        """Search the price between two trees, and return the largest tree found that is within the limits.
+        """Try prices between the prices of two trees, and return the largest tree found that is within the limits.
 
-        ``fits`` is a tree within the limits, ``beyond`` a tree at a lower price that exceeds them.
+        The tree ``fits`` is within the limits. The tree ``beyond``, at a lower price, exceeds the limits. ``weight``
+        multiplies the largest error of a leaf in the leaf's cost.
         """
         # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
         # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
@@ -336,7 +337,10 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, weight: float) -> None:
-        """Store in ``_selected`` the boxes that the best tree at ``price`` or a higher price may contain."""
+        """Store in ``_selected`` the boxes that the best tree at ``price`` or a higher price may contain.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
         # the root along all other halvings.
         nodes, selected = np.zeros(1, np.int64), []
@@ -356,7 +360,7 @@ class PriceSearch:
     def _best_tree(self, price: float, weight: float) -> PricedTree:
         """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``.
 
-        ``weight`` is the weight of a leaf's largest error in its cost.
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best

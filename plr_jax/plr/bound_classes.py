@@ -74,10 +74,11 @@ def classify_bounds(
 def requantize_bounds(
     codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds to the narrowest pair in ``classes`` (a column) that contains them.
+    """Widen each leaf's bounds to the narrowest pair of bounds in ``classes`` that contains the leaf's bounds.
 
-    ``codes`` and ``bound_of_code`` are as for :func:`classify_bounds`. Return the codes of the widened bounds; None
-    if a leaf's bounds are in no pair, or the result takes more than ``max_bits`` bits in a file.
+    Each column of ``classes`` has the codes of a pair. ``codes`` and ``bound_of_code`` are as for
+    :func:`classify_bounds`. Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the
+    result takes more than ``max_bits`` bits in a file.
     """
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)  # (classes, leaves)
@@ -92,7 +93,7 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
-    """Write each leaf's pair of error codes: first all distinct pairs, then which leaves have which pair."""
+    """Write the column of ``codes`` of each leaf: first all distinct columns, then which leaf has which column."""
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
     classes = np.stack(np.divmod(key, 1 << CODE_BITS))
     order = np.argsort(-size, kind="stable")  # the largest class first, so that later sets are small

@@ -93,7 +93,8 @@ class LeafFunctions:
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, " leaves"]:
         """Return an upper bound of ``|distance - leaf function|`` in each leaf, which is a cell of ``visible``.
 
-        The error may exceed it by ``visible.slack``. It is 0 in a leaf without points that reach the goal.
+        The error may exceed the bound by ``visible.slack``. The bound is 0 in a leaf without points that reach the
+        goal.
         """
         lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
@@ -406,7 +407,7 @@ class Certificate:
 def write_proof(body: BitWriter, certificate: Certificate | None, straight: StraightBound | None) -> Proof:
     """Append the error bounds and the straight-line bound to a file's body; return the kind of proof, for the header.
 
-    Either may be None.
+    Each of the two may be None: then the file has no such bounds.
     """
     if certificate is None:
         if straight is None:

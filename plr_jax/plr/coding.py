@@ -24,7 +24,7 @@ def varint(value: int) -> bytes:
 
 
 def signed_varint(value: int) -> bytes:
-    """Encode a signed integer ``v`` as the varint of ``2 * v``, or of ``-2 * v - 1`` if it is negative."""
+    """Encode a signed integer ``v`` as the varint of ``2 * v``, or of ``-2 * v - 1`` if ``v`` is negative."""
     return varint(2 * abs(value) - (value < 0))
 
 
@@ -226,7 +226,10 @@ def bits_of_set(num_members: int, size: int) -> int:
 
 
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Return the bytes that a tree of ``num_leaves`` leaves and ``num_bits`` bits of leaf data take in a file."""
+    """Return the number of bytes in a file of a tree with ``num_leaves`` leaves and ``num_bits`` bits of data.
+
+    The bytes hold the splits of the tree, then the data.
+    """
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 

@@ -1,10 +1,10 @@
 """The function spaces of continuous and smooth leaves: finite elements on the leaves of a partition.
 
-In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1).
-Leaves that share a free face are *tied*: their functions must agree on it. Every corner of every leaf is a *node*.
-Nodes of tied leaves at one point form a *group* with one value. A corner inside the face of a tied leaf *hangs* on
-that leaf: its value is interpolated from the leaf's corners. These lie on coarser dyadic levels, so a value never
-depends on itself::
+In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1). Two
+leaves are *tied* if paths can cross their common face: their functions must agree on the face. Every corner of every
+leaf is a *node*. Nodes of tied leaves at one point form a *group* with one value. A corner inside the face of a tied
+leaf *hangs* on that leaf: its value is interpolated from the leaf's corners. These lie on coarser dyadic levels, so a
+value never depends on itself::
 
     o-----------o-----o     Three tied leaves, with 12 corners: the nodes.
     |           |  b  |     Each o is a group of 1 or 2 nodes.
@@ -235,7 +235,7 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 def enclosing_planes(
     order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
 ) -> tuple[Distances, Points, Distances]:
-    """Expand the polynomial of each leaf in two dimensions at the center of a box in the leaf.
+    """Expand each leaf's polynomial, of two coordinates, at the center of a box in the leaf.
 
     Return the value and the gradient at the center, and an upper bound of the absolute sum of all other Taylor terms
     in the box. ``center`` and ``reach`` (half of the box's width along each axis) are in local coordinates, from 0 to

@@ -58,7 +58,7 @@ class Folding:
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
-        """The mirrors with more than the fraction ``_CUT`` of the domain's width on both sides."""
+        """The mirrors with more than the fraction ``_CUT`` of the domain's width on each side."""
         lo, hi = self._range_before_mirroring
         least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)

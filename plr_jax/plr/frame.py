@@ -157,7 +157,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return how many entries the lookup tables of a file of this size may have, to limit memory while it loads."""
+    """Return the most entries of lookup tables for a file of ``num_bytes`` bytes, to limit memory during loading."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 

@@ -188,7 +188,7 @@ def urgent_first(
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, " cells"]:
-    """Return, for each cell, the priority that it must exceed to be split."""
+    """Return, for each cell, the value that the cell's priority must exceed for the cell to be split."""
     return np.maximum(limits.tolerance, fit.noise)
 
 

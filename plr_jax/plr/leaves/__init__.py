@@ -48,7 +48,7 @@ def code_of_leaf(leaf: LeafModel) -> int:
 def leaf_of_code(code: int) -> LeafModel:
     """Return the leaf model that a code in a file stands for.
 
-    ``ValueError`` if there is none; its message begins with "it", for the caller to say which file.
+    ``ValueError`` if no model has this code; its message begins with "it", for the caller to say which file.
     """
     if code == PAIRS_CODE:
         raise ValueError("it is a file of distances between any two points; read it with load")

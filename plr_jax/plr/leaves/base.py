@@ -78,7 +78,7 @@ class LeafModel(ABC):
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         """Return the parameters of the leaves, the numbers that a query reads, one row per leaf.
 
-        They are for points given relative to ``corner``.
+        Points of the query are relative to ``corner``.
         """
 
     @abstractmethod

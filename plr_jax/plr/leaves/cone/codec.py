@@ -1,10 +1,10 @@
 """Encode cone leaves, functions ``offset + |x - source|``: a table of sources, and the index of every leaf's source.
 
-A source is an obstacle corner or the goal. Its offset is its distance to the goal. Instead of the offset, a file
-stores the source's *parent*, the next source on its shortest path. Only *roots*, such as the goal, store offsets.
-Most maps have coordinates on a lattice, such as multiples of 0.01. Sources off this lattice, such as a goal, are
-*fine*: their coordinates are multiples of about ``2**-26`` of the domain's width. The bits in the file are described
-in ``portable/FORMAT.md``.
+A source is an obstacle corner or the goal. The offset is the distance from the source to the goal. Instead of the
+offset, a file stores the source's *parent*, the next source on the shortest path from it to the goal. Only *roots*,
+such as the goal, store offsets. Most maps have coordinates on a lattice, such as multiples of 0.01. Sources off this
+lattice, such as a goal, are *fine*: their coordinates are multiples of about ``2**-26`` of the domain's width. The
+bits in the file are described in ``portable/FORMAT.md``.
 """
 
 from bisect import bisect_left

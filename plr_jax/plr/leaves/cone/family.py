@@ -2,10 +2,10 @@
 
 These partitions have no proof; ``worst_first.py`` finds partitions with small proven errors.
 
-1. Every box that halvings of the domain give gets the cone ``offset + |x - source|`` of least mean error at the box's
-samples (``fit_boxes``). 2. Dynamic programming finds the tree of least error plus a price per leaf that fills the
-file (``_largest_tree``). 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow
-(``change_sources``).
+1. Every box that halving the domain can give gets the cone ``offset + |x - source|`` of least mean error at the box's
+   samples (``fit_boxes``).
+2. Dynamic programming finds the tree of least error plus a price per leaf that fills the file (``_largest_tree``).
+3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``change_sources``).
 """
 
 from collections.abc import Iterator, Sequence

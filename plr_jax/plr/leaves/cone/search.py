@@ -1,8 +1,8 @@
 """Find the best partition into cone leaves, functions ``offset + |x - source|``, for one goal and a file's limits.
 
-1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``). 2. A search finds the price
-per leaf at which the tree of least error plus prices fills the file (``PriceSearch``). 3. Leaves change to sources
-(corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
+1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
+2. A search finds the price per leaf at which the tree of least error plus prices fills the file (``PriceSearch``).
+3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 
 from bisect import bisect_left
@@ -72,8 +72,8 @@ class ConeBoxes(Rows):
         """Halve boxes, and compute the halves that are not known yet, in the order of their first appearance.
 
         Half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``. ``known_keys`` are hashes of the
-        known boxes. Return the new boxes, their hashes, and the hashes of all halves. Two boxes may share a half: the
-        upper half of a left half is the left half of an upper half.
+        known boxes. Return the new halves, their hashes, and the hashes of all halves. Two boxes may share a half:
+        the upper half of a left half is the left half of an upper half.
         """
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
@@ -217,7 +217,7 @@ def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " selec
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     """Pair each box with all sources that paths from some of its points may use.
 
-    Boxes are left out if all of their free space sees their present source, or if they have very many sources.
+    Boxes are left out if all of their free space sees their present source, or if they have more than 64 sources.
     ``pattern`` has the positions in a box of the samples that estimate errors.
     """
     # 1. List the pairs of a box and a source (keys: box * count + source). A source is visible from all of a box if
@@ -304,9 +304,10 @@ def best_cones_of_goal(
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
-    ``visible`` has the whole domain as its only cell. ``run(tree, step)`` repeats a step until it returns None, or
-    until Ctrl-C. ``reach``, if known, tells from where the goal can be reached. At the end, some leaves change to a
-    source that more of the leaf sees; ``pattern`` has the positions of the samples that show this.
+    ``visible`` has the whole domain as its only cell. ``run(tree, step)`` replaces a tree by ``step(tree)`` until
+    there is none, and returns the last tree. ``reach``, if known, tells from where the goal can be reached. At the
+    end, some leaves change to a source that more of the leaf sees; ``pattern`` has the positions of the samples that
+    show this.
 
     Return the tree, its leaves as in a file, and the boxes of the leaves, with their sources before these changes.
     """
