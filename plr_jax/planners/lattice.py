@@ -372,9 +372,9 @@ class CellGrid(NamedTuple):
     def costs(
         self, possible: Bool[np.ndarray, "n primitives"], begin: Ends, end: Ends, deadline: float = math.inf
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions from ``begin`` to ``end``.
+        """Return the cost of the straight motion from ``begin[i, p]`` to ``end[i, p]``, for each ``i`` and ``p``.
 
-        The cost is ``inf`` if a motion is not ``possible`` or hits an obstacle.
+        The cost is ``inf`` if the motion is not ``possible`` or hits an obstacle. The arguments are broadcast.
         """
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)

@@ -144,8 +144,8 @@ def _page_entries(
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
 
-    Pages belong to cells of the coarser ``begin`` grid, whose row-major indices are ``page``. A page has an entry for
-    each cell of the ``end`` grid in its own cell.
+    Pages belong to cells of the coarser ``begin`` grid; ``page`` has the row-major indices of these cells. A page has
+    an entry for each cell of the ``end`` grid inside the page's cell.
     """
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
@@ -199,7 +199,7 @@ class _SameShapeGroup:
         return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """Return tables that answer each point by a PLR of its own; ``which`` has the PLR's index in this group."""
+        """Return tables that evaluate another PLR at each point; ``which`` has the index of this PLR in the group."""
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)

@@ -433,7 +433,7 @@ def read_proof(
 ) -> tuple[Certificate | None, StraightBound | None]:
     """Decode the error bounds and the straight-line bound of a file of ``num_leaves`` leaves in ``dim`` dimensions.
 
-    This is the inverse of :func:`write_proof`.
+    This is the inverse of :func:`write_proof`. Bounds that the file lacks are None.
     """
     if proof is Proof.NONE:
         return None, None
