@@ -257,9 +257,9 @@ class JointLattice:
     ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
         """Return the rows of ``state`` in which robots ``i`` and ``j`` are near, and their primitives that collide.
 
-        Robots are near if one motion of each may bring their bodies together. Entry ``[k, a, b]`` of the second
-        result tells whether primitive ``a`` of robot ``i`` collides with primitive ``b`` of robot ``j`` in the
-        ``k``-th such row.
+        A row of ``state`` has a node for each robot. Robots are near if one motion of each may bring their bodies
+        together. Entry ``[k, a, b]`` of the second result tells whether primitive ``a`` of robot ``i`` collides with
+        primitive ``b`` of robot ``j`` in the ``k``-th row of the first result.
         """
         a, b = self.lattices[i], self.lattices[j]
         qa, qb = a.q[state[:, i]], b.q[state[:, j]]

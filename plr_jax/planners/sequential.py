@@ -67,7 +67,10 @@ class CornerRoadmap:
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
     def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether the straight motions between free positions of the disc hit no wall; touching is allowed."""
+        """Return whether each straight motion from ``begin[i]`` to ``end[i]`` hits no wall; touching is allowed.
+
+        Begin and end are free positions of the disc's center.
+        """
         (x, y), (dx, dy) = begin.T, (end - begin).T
         # 1. A motion hits a circle if it passes its center and comes too near: with t the vector from begin to
         #    center, 0 < t . d < |d|^2 and |t x d| < reach |d|. (The ends of the motion are free.)

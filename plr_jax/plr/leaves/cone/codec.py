@@ -176,7 +176,10 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    """Write the sources: coordinates in lattice steps, then offsets of roots and parents of the other sources."""
+    """Write the coordinates of sources in lattice steps, then their parents (see :class:`StoredSources`).
+
+    Instead of a parent, a root has its offset.
+    """
     fine, others = np.split(sources.code, [sources.num_fine])
     exponent, fraction = sources.exponent, sources.fraction
     groups = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, fraction, fraction)
