@@ -60,7 +60,10 @@ class _CellGraph(ABC):
         return self._to_goal[self._cells_of("x", x)]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+
+        Paths lead from cell to cell.
+        """
         inside = (slice(1, -1),) * self.dim
         free = self._padded[inside]
         reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]

@@ -51,7 +51,8 @@ class Stats:
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
-        num_bytes: Estimated memory of ``bl_plan``'s searches and largest lattices, even if the limit ruled them out.
+        num_bytes: Estimated largest memory of the searches and lattices of ``bl_plan``, in bytes. It includes
+            lattices that would have exceeded the memory limit, and so were not built.
     """
 
     num_nodes: int
@@ -320,7 +321,10 @@ def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
 
 @dataclass
 class SearchBudget:
-    """Limits of a planner, and counters of its effort; ``deadline`` is a time of ``time.perf_counter``."""
+    """Limits of a planner, and counters of its effort.
+
+    ``deadline`` is a time of ``time.perf_counter``. Memory is in bytes.
+    """
 
     deadline: float
     max_expansions: float | int
@@ -332,20 +336,20 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """Return the status of the limit that rules out one more expansion, or None."""
+        """Return the status that names a limit if one more expansion would exceed this limit, else None."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT  # after the deadline, the status is TIME_LIMIT
         return self.spent()
 
     def spent(self) -> Status | None:
-        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, or None; expansions do not count."""
+        """Return TIME_LIMIT or MEMORY_LIMIT if the time or memory limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
 class MemoryUse:
-    """A counter of one data structure's bytes, which also count in ``budget.memory`` until :meth:`release`."""
+    """The number of bytes of one data structure. The bytes also count in ``budget.memory`` until :meth:`release`."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0
