@@ -131,11 +131,11 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, " n"] | None = None
     ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-        """Return the index of the triangle that contains each point, and the point's side of each of its three edges.
+        """Return the index of the triangle that contains each point, and on which side of the three edges it lies.
 
-        The side is 1 if the point is inside the edge, 0 on the line through the edge, and -1 outside. A point outside
-        the region gets a nearby triangle, and a -1. Coordinates must be multiples of ``grid``. The search begins at
-        the given indices ``triangle``; if None, this method chooses where to begin.
+        The side is 1 if the point is inside an edge of the triangle, 0 on the line through the edge, and -1 outside.
+        A point outside the region gets a nearby triangle, and -1 for one edge or more. Coordinates must be multiples
+        of ``grid``. The search begins at the triangles ``triangle``; if None, this method chooses where to begin.
         """
         # 1. Choose the triangles at which walks begin. Points far inside a triangle of the locator need no walk.
         turn = np.ones((len(x), 3))

@@ -88,7 +88,7 @@ class VoxelGrid:
         return np.stack(below), np.stack(above)
 
     def numbers_along(self, axis: int, x: Float[np.ndarray, " n"]) -> tuple[NumbersAlong, NumbersAlong]:
-        """Return the least and largest number, along one axis, of voxels that contain each coordinate."""
+        """Return, for each coordinate along one axis, the least and largest voxel number that contains it."""
         # The quotient is right up to rounding: compare exactly with the faces below and above that voxel.
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)

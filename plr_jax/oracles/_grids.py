@@ -193,14 +193,13 @@ class VoxelGraph(_CellGraph):
     also lead across one of 12 edges, with 26 moves also across one of 8 corners. All voxels of the box that the step
     spans must be free, so it cuts no edge or corner. In voxels of side 1, steps have lengths 1, sqrt(2) and sqrt(3).
 
-    The length is never below the length of the shortest path between the two centers whose segments may have any
-    direction. In open space, for cubes and 26 moves, it is at most 12.9 % longer. A point on a face between two
-    voxels belongs to the upper voxel, a point on an upper bound of the box to the last voxel. Invalid arguments raise
-    ``ValueError``.
+    The length is never below that of the shortest any-angle path between the two centers. In open space, for cubes
+    and 26 moves, it is at most 12.9 % above. A point on a face between two voxels belongs to the upper voxel, a point
+    on an upper bound of the box to the last voxel. Invalid arguments raise ``ValueError``.
 
     Args:
         free: Whether each voxel is free, booleans ``(nx, ny, nz)``, indexed ``[i, j, k]`` as in :class:`VoxelSpace`;
-            at least one is.
+            at least one must be free.
         goal: A point in a free voxel, ``(3,)``; distances are measured from the voxel's center.
         moves: Number of neighbors of a voxel, 6, 18 or 26.
         bounds: The box that the voxels fill, or its corners ``(lo, hi)``, without periodic axes. None: voxels of side

@@ -195,10 +195,10 @@ class PairDistances:
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
-        """Return the indices of the corners at which paths from a point may turn first, and their distances to it.
+        """Return the indices of corners at which paths from the point ``x`` may turn first, and their distances to x.
 
-        ``place`` is the place of the point ``x`` in the triangulation. Some of the corners may not be visible from
-        the point.
+        ``place`` is the place of the point in the triangulation. Some of the corners may not be visible from the
+        point.
         """
         corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T
@@ -235,10 +235,10 @@ class PairDistances:
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return, for each ``i``, the length of the shortest path between point ``i`` of ``at_x`` and of ``at_y``.
+        """Return, for each ``i``, the length of the shortest path from a point x to a point y through listed corners.
 
-        The path must turn first at a corner that ``at_x`` lists for its start, and last at a corner that ``at_y``
-        lists for its end.
+        The path must turn first at a corner in list ``i`` of ``at_x``, the corners visible from x, and last at a
+        corner in list ``i`` of ``at_y``, the corners visible from y.
         """
         # 1. For each entry of x, minimize `onward`, D(i, j) + |j - y|, over the entries j of the same pair's y: in
         #    batches of corners i, whose rows of D fit into memory, then in batches of combinations.

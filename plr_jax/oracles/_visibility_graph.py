@@ -234,7 +234,7 @@ class VisibilityGraph:
         """Return the shortest path from a point ``(2,)`` to the goal, as vertices ``(m, 2)`` without repetitions.
 
         There is one vertex if the point is the goal, none if the distance is ``inf``. Corners that the path only
-        grazes may be among them.
+        grazes may be among the vertices.
         """
         x = as_point("The start", self.workspace.settled(x), 2)
         distance, turn = self._first_turns(x[None])

@@ -130,10 +130,11 @@ class GridPairs:
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Return lengths of shortest paths between the cells of points; diagonal steps (if any) count ``sqrt(2)``.
 
-        Lengths are in steps. Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row
-        ``r`` and column ``c`` has the points ``(a, b)`` with ``c <= a < c + 1`` and ``r <= b < r + 1``. Answers,
-        ``(...)``, are symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell
-        is blocked, or a point is outside the grid or NaN. For many points, a function is compiled for each shape.
+        Lengths are in steps. The shapes of points ``x`` and ``y``, ``(..., 2)``, must broadcast, else ``ValueError``.
+        The cell in row ``r`` and column ``c`` has the points ``(a, b)`` with ``c <= a < c + 1`` and
+        ``r <= b < r + 1``. Lengths, ``(...)``, are symmetric bit for bit, and 0 within a cell. They are ``inf`` if no
+        path joins the cells, a cell is blocked, or a point is outside the grid or NaN. For many points, a function is
+        compiled for each shape of the arrays.
         """
         points = _as_points("x", x), _as_points("y", y)
         shape = broadcast_shape("x and y", *points)
@@ -283,11 +284,10 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
         pairs(x, y)  # path lengths (n,) in steps between the cells of points x and y, both (n, 2)
 
     ``graph`` is a :class:`GridGraph`, with or without a goal, or an array of booleans ``(rows, columns)``, True in
-    free cells, for a 4-connected grid. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory,
-    8-connected 15 s and 1.4 GB.
-    ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``. ``ValueError`` if
-    ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected) paths of over a million steps, or needs a
-    table of more than 2**30 bytes or minutes of work.
+    free cells, for a 4-connected grid. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory, or 15 s
+    and 1.4 GB if it is 8-connected. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises
+    ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected)
+    paths of over a million steps, or needs a table of more than 2**30 bytes or minutes of work.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 

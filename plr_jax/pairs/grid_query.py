@@ -111,7 +111,8 @@ def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     """Return, for each pair of cells ``p[i]`` and ``q[i]``, whether they see each other.
 
-    They do if both are free and no obstacle blocks any path between them that would be shortest on an empty grid.
+    Two cells see each other if both are free and no obstacle blocks any path between them that would be shortest on
+    an empty grid.
     """
     xp: Any = np if isinstance(p, np.ndarray) else jnp
     sums = xp.asarray(sight.sums)

@@ -2,8 +2,8 @@
 
 A window is a square of cells around an agent, and its rim is the cells on its border. First find the distances from
 rim cells to the goal. If the distances of two rim cells differ by the number of steps between the cells along the
-rim, they change by one step from cell to cell in between. Otherwise the distance of the cell halfway is looked up as
-well. Then spread distances from the rim into the window, by sweeps.
+rim, distances in between change by one step from cell to cell. Otherwise the distance of the cell halfway is looked
+up as well. Then spread distances from the rim into the window, by sweeps.
 """
 
 from functools import partial

@@ -68,8 +68,8 @@ class PairPLR(FileBacked):
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
-            outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
-                both ends to the domain.
+            outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` moves each such point
+                to the nearest point of the domain, and adds the length of this move to the distance.
         """
         outside = as_outside(outside)
         if isinstance(y, PreparedGoals):
@@ -108,7 +108,7 @@ class PairPLR(FileBacked):
         Large batches then take less time. The result takes 4 bytes per goal and corner. The method works under
         ``jax.jit`` and ``jax.vmap``. Distances to prepared goals differ by rounding from distances to plain points,
         and have no gradient in the goals, which have 32 bits. With ``outside="clamp"``, distances are still ``inf``
-        to a goal outside the domain. Pairs of other maps must not use these goals. ``ValueError`` as for a call.
+        to a goal outside the domain. Use the result only with the same PairPLR. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):

@@ -82,10 +82,10 @@ def are_crossed(
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether walls cross the horizontal ray to the right of a point upward, and whether downward.
+    """Return whether each wall crosses a horizontal ray upward, and whether it crosses the ray downward.
 
-    A wall is given by its ends, ``(ax, ay, bx, by)``. The winding number of the walls around the point is the number
-    of upward crossings minus the number of downward crossings.
+    The ray starts at the point ``p`` and leads to the right. A wall leads from ``(ax, ay)`` to ``(bx, by)``. The
+    winding number of the walls around the point is the number of upward minus the number of downward crossings.
     """
     # A wall upward crosses the ray if its ends are below and above it, and the point is on its left.
     (px, py), (ax, ay, bx, by) = p, wall

@@ -72,9 +72,10 @@ class Outline:
 
     @cached_property
     def following_past_contacts(self) -> Int[np.ndarray, " points"]:
-        """Index of the point that follows each point around its obstacle, while rings go around free space.
+        """Index of the point that follows each point on the boundary of its obstacle.
 
-        Both orders differ only at contacts. Two obstacles that touch at a contact count as two.
+        It differs from ``following``, the order around free space, only at contacts (points where obstacles touch and
+        no path may pass).
         """
         # A ring follows free space. At a contact P it goes on with the next wall clockwise, across free space; an
         # obstacle's outline goes on with the next wall counterclockwise, across the obstacle:
@@ -217,9 +218,9 @@ class Outline:
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, moves_all: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return a vector into free space for each point, which moves by minus ``distance`` times its vector.
+        """Return a vector for each point. If the point moves by ``-distance`` times this vector, its walls move, too.
 
-        So the walls move by ``distance`` into obstacles, less at sharp corners. If ``distance`` is positive, two
+        The walls then move by ``distance`` into obstacles, less at sharp corners. If ``distance`` is positive, two
         kinds of points have the vector 0 unless ``moves_all``: points between two walls of thin obstacles, and both
         ends of a wall that would change its direction, as at the end of a thin obstacle.
         """

@@ -38,7 +38,10 @@ def zero() -> SumOverRobots:
 
 
 def straight_line(problem: Problem) -> SumOverRobots:
-    """Return a lower bound that ignores obstacles: the cost of straight motions and turns to a problem's goals."""
+    """Return the heuristic that ignores obstacles: the cost of straight motions and turns to the problem's goals.
+
+    It is a lower bound.
+    """
     num_robots, dof = problem.goals.shape
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:

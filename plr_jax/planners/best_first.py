@@ -40,7 +40,7 @@ Table: TypeAlias = Float[np.ndarray, " _"]  # the estimate at each node of a rob
 
 
 class Beam(NamedTuple):
-    """The best children of each of ``n`` joint configurations, by ascending score."""
+    """The ``m`` best children (next joint configurations) of each of ``n`` joint states, by ascending score."""
 
     step_score: Float[np.ndarray, "n m"]  # sum of the robots' terms for this step; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
