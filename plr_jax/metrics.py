@@ -20,7 +20,7 @@ _DIGITS = 4  # digits of a printed position, relative to the largest distance
 
 @dataclass(frozen=True)
 class ErrorReport:
-    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over points.
+    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``.
 
     Errors and distances are in workspace units. Errors are taken at the points where both functions are finite.
 
@@ -30,7 +30,7 @@ class ErrorReport:
         quantiles: For each share 0.5, 0.9, 0.99 and 0.999, the error that this share of the points does not exceed.
         max_at: Point of the largest error, ``(dim,)``.
         max_distance: Largest finite distance ``V``, as a scale for the errors.
-        num_points: Number of all points.
+        num_points: Number of all points ``x``.
         num_unreachable: Number of points where ``V`` is infinite; the error is undefined there.
         num_unanswered: Number of points where ``V`` is finite and ``L`` is not.
         num_invented: Number of points where ``V`` is infinite and ``L`` is finite.

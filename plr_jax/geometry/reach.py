@@ -50,7 +50,7 @@ class Reach:
         return holds
 
     def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether each box holds a point that reaches the goal and, by the test ``far``, a far cut-off point.
+        """Return whether each box holds a point that reaches the goal, and also passes the test ``far``.
 
         The result is False for boxes with a diagonal of at most 1/64, in fractions of the domain.
         """

@@ -258,7 +258,7 @@ class PairDistances:
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
-        """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
+        """Return, for each point, the corners visible from the point at which a shortest path from it may turn."""
         # Handle equal points once. As complex numbers, points are sorted by their first coordinate, then by the
         # second.
         _, index, inverse = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)

@@ -83,8 +83,8 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
     """Draw free configurations uniformly, ``(num_samples, dim)``; also return the estimated volume of free space.
 
-    The volume is that of the configurations times the weights of ``metric``. ``ValueError`` if hardly any
-    configuration is free.
+    The volume is that of free space after each axis is scaled by its weight in ``metric``. ``ValueError`` if hardly
+    any configuration is free.
     """
     domain = metric.domain
     rng = np.random.default_rng(seed)
@@ -301,17 +301,18 @@ class Roadmap:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the distance ``(n,)`` of each point ``(n, dim)`` to the goal along the roadmap.
 
-        Axes count with the ``weights`` of the constructor. If a point sees no vertex within ``radius``, vertices
-        within 2, 4, ... times the radius are tried. The distance is ``inf`` for a point that is not free, is outside
-        the domain, has a NaN, or sees no vertex from which the goal can be reached.
+        Lengths are weighted as the class says. If a point sees no vertex within ``radius``, vertices within 2, 4, ...
+        times the radius are tried. The distance is ``inf`` for a point that is not free, is outside the domain, has a
+        NaN, or sees no vertex from which the goal can be reached.
         """
         return self._first_vertices(as_points("x", self._settled(x), self.dim))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the path from a point ``(dim,)`` to the goal whose length a call returns, as vertices ``(m, dim)``.
+        """Return the path from a point ``(dim,)`` to the goal along the roadmap, as vertices ``(m, dim)``.
 
-        There is one vertex if the point is the goal, none if the distance is ``inf``. Along periodic axes, vertices
-        are wrapped into the domain, and the path goes the short way.
+        A call with this point returns the length of the path. There is one vertex if the point is the goal, none if
+        the length is ``inf``. Along periodic axes, vertices are wrapped into the domain, and the path goes the short
+        way around.
         """
         x = self.domain.wrapped(as_point("The start", self._settled(x), self.dim)[None])
         distance, first = self._first_vertices(x)
@@ -337,9 +338,10 @@ class Roadmap:
         return distance, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Return each point's distance to the goal through the roadmap, and the first vertex on its path (-1: none).
+        """Return each point's distance to the goal along the roadmap, and the index of the path's first vertex.
 
-        Only vertices whose distance from the point is above ``inner`` and at most ``outer`` are tried.
+        Only vertices whose distance from the point is above ``inner`` and at most ``outer`` are tried. The index is
+        -1 if the point sees none of them.
         """
         # 1. Count the vertices near each point, and choose how many points to handle together.
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices

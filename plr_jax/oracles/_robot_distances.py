@@ -12,7 +12,7 @@ _SLACK = 4  # robots are shrunk by this many times the workspace's tolerance
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
+    """Return, for each robot, a function: the exact distance to the robot's goal, without the other robots.
 
     Each distance function takes positions ``(n, 2)``. Distances are at most the length of the robot's own shortest
     path, and ``inf`` at blocked positions. Robots of equal size share the preprocessing of the map.

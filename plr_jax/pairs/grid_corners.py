@@ -280,10 +280,11 @@ class CornerTable:
 
 @pytree
 class CornerLabels:
-    """Path lengths from each obstacle corner of a grid to its ancestors in a tree, which include the corner itself.
+    """Path lengths from each obstacle corner of a grid to its ancestors in a tree.
 
-    The distance between two corners is the least sum of their distances to a common ancestor. Vertex elimination
-    gives the tree: the parent of a corner is the neighbor that is eliminated next after it.
+    A corner counts as its own last ancestor. The distance between two corners is the least sum of their distances to
+    a common ancestor. Vertex elimination gives the tree: the parent of a corner is the neighbor that is eliminated
+    next after the corner.
     """
 
     first: Int32[Array, " corners_plus_one"]  # index of each corner's first entry

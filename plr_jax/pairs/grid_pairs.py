@@ -304,7 +304,7 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
-    """Check and return points ``(..., 2)``; points that are no JAX array are rounded down to integers."""
+    """Check and return points ``(..., 2)``; coordinates are rounded down to integers unless in a JAX array."""
     if not isinstance(x, jax.Array):
         # Round down before numbers become 32-bit. Both limits are outside of every grid.
         x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)

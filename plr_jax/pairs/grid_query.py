@@ -344,7 +344,8 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tupl
     """Return the length of a likely shortest path for each pair of cells, and the blocks that may have a shorter one.
 
     Blocks are groups of four corners. The second and third result have the blocks of cells ``p`` and ``q``, as bits
-    of an integer (see :class:`_OpenBlocks`). ``is_seen`` says which cells see each other; their path is the shortest.
+    of an integer (see :class:`_OpenBlocks`). ``is_seen`` says which pairs of cells see each other. For these pairs no
+    path is shorter, so the results have no blocks.
     """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)
@@ -422,9 +423,10 @@ class _OpenBlocks(NamedTuple):
 
 
 def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
-    """Return the least length of the paths over two corners of open blocks, one of each cell, but at most ``length``.
+    """Return, for each pair of cells, the length of the shortest path over two corners, but at most ``length``.
 
-    ``open_p`` and ``open_q`` have the open blocks of the first and the second cell of each pair.
+    The corners are in open blocks: one in a block of ``open_p``, which belongs to the first cell, the other in a
+    block of ``open_q``, which belongs to the second cell.
     """
 
     # Loop over all pairs of a word of the first cell and a word of the second cell, then over pairs of set bits.

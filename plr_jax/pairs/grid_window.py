@@ -150,7 +150,10 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim
 
 
 def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
-    """Extend path lengths from some cells of each square, FAR in all others, to all free cells of the square."""
+    """Extend path lengths from some cells of each square to all free cells of the square.
+
+    ``lengths`` are FAR in cells whose length is not yet known, and ``free`` says which cells are free.
+    """
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 

@@ -110,7 +110,7 @@ def construct_metric_pairs(
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:
-    """Return whether each point of ``x`` comes after the same point of ``y`` in lexicographic order."""
+    """Return whether each point of ``x`` comes later in lexicographic order than the point of ``y`` in its row."""
     later, equal = x[..., 0] > y[..., 0], x[..., 0] == y[..., 0]
     for axis in range(1, x.shape[-1]):
         later, equal = later | (equal & (x[..., axis] > y[..., axis])), equal & (x[..., axis] == y[..., axis])

@@ -74,7 +74,7 @@ class NearWalls:
     def of(
         boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, shape: _Shape
     ) -> "NearWalls | None":
-        """Find the walls that may hide each listed corner from points of its leaf; None if this saves no time.
+        """Find the walls that may hide each listed corner from points of its leaf; None if they are too many.
 
         List entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``, both indices; leaves ascend. Walls
         within ``margin`` of the region between leaf and corner count. ``shape`` is the shape of the array ``first``.

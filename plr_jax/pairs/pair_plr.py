@@ -369,7 +369,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-    """Move finite points outside the domain to the nearest point of the domain; also return the distances moved."""
+    """Move finite points outside the domain to the nearest point of the domain; also return how far they move."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     is_beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))  # by axis
     nearest = jnp.where(is_beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)

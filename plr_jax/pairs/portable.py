@@ -47,7 +47,8 @@ def point_rounding(half: Any, middle: Any) -> Any:
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
     """Return whether segments from ``p`` to ``q`` cross walls into an obstacle, and whether out of an obstacle.
 
-    A wall is given by its ends, ``(ax, ay, bx, by)``, with free space on its left. All coordinates broadcast.
+    A wall is given by its ends, ``(ax, ay, bx, by)``, with free space on its left. Points are ``(x, y)``. The shapes
+    of all coordinates must broadcast.
     """
     # With e = b - a and d = q - p, the segment crosses the wall if the sides of p and q, the signs of e x (p - a) and
     # e x (q - a), differ, and only one of a and b is left of the segment: d x (p - a) <= 0. Seen along the wall, free

@@ -69,7 +69,7 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 
 @pytree
 class _Pairs:
-    """Pairs of points, the leaves that hold the points, and a lower bound for each corner that may be tried."""
+    """Pairs of points, the leaves that hold the points, and lower bounds of path lengths through listed corners."""
 
     x: Points
     y: Points
@@ -120,7 +120,7 @@ def shortest_ways(
 
 
 def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal: Rows | None = None) -> Ways:
-    """Find the shortest path from each ``x[i]`` to ``y[i]``: straight, or through corners that the leaves list.
+    """Find the shortest path from each ``x[i]`` to ``y[i]``: straight, or through corners that their leaves list.
 
     For ``to_corners`` and ``goal`` see :func:`shortest_ways`.
     """

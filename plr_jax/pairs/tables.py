@@ -162,9 +162,9 @@ def _bounds_to_leaves(
 ) -> UInt32[np.ndarray, "rows size"]:
     """Return `PairTables.onward`: a lower bound of path lengths from each corner to the points of each leaf.
 
-    The bound is a linear function of the point, packed in 32 bits. ``distances`` are those between corners, and
-    ``listed`` the corners of each leaf. The box of a leaf has its center at ``middles`` and the half widths
-    ``halves``. Lengths are packed in units of ``step``.
+    The bound is a linear function of the point, packed in 32 bits. ``distances`` are path lengths between corners,
+    ``corners`` their positions, and ``listed`` the indices of the corners that each leaf lists. The box of a leaf has
+    its center at ``middles`` and the half widths ``halves``. Lengths are packed in units of ``step``.
     """
     # Fix a corner a and a leaf, whose box has the middle m and the half widths h. The path from a over the listed
     # corner k to a point x has the length d_k + |x - k|, with the distance d_k between a and k. It is convex in x, so

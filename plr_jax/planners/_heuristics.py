@@ -54,11 +54,11 @@ def straight_line(problem: Problem) -> SumOverRobots:
 
 
 def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
-    """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
+    """Return the heuristic that adds up the robots' distances to their goals (Section V-B of the paper).
 
     Functions of one type that offers ``stack``, as PLRs do, are evaluated by one call. Others are called one by one,
     in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times. Inside a jitted
-    function, the heuristic of functions that can be traced, such as PLRs, takes and returns arrays of JAX.
+    function, a heuristic of traceable functions, such as PLRs, takes and returns arrays of JAX.
 
     Args:
         distance_fns: One distance function per robot, which returns NumPy or JAX arrays. If it has an attribute

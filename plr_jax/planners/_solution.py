@@ -139,7 +139,8 @@ class Solution:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution, without its samples, to a JSON file that :meth:`load` describes; the write is atomic.
 
-        It raises ``ValueError`` for an inconsistent solution or over 64 MiB, and ``OSError`` if writing fails.
+        ``ValueError`` if the solution is inconsistent or the file would be larger than 64 MiB, ``OSError`` if writing
+        fails.
         """
         stats = self.stats
         entry = {
@@ -241,7 +242,7 @@ def _solution_from_json(entry: Any) -> Solution:
 
 
 def _stats_from_json(entry: Any) -> Stats:
-    """Make statistics from their entry in a decoded JSON file; ``ValueError`` if it is invalid."""
+    """Make :class:`Stats` from the entry "stats" of a decoded JSON file; ``ValueError`` if the entry is invalid."""
     keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')

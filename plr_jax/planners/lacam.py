@@ -134,10 +134,10 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield pairs of robots that may meet in one step, grouped by kinds.
+        """Yield pairs of robots that may meet in one step, grouped by kinds (robots of equal shape).
 
-        Each item is ``(a, b, first, second)``: two kinds ``a <= b``, and ``m`` pairs of a robot ``first[k]`` of kind
-        ``a`` and a robot ``second[k]`` of kind ``b``.
+        Each item is ``(a, b, first, second)``: the indices ``a <= b`` of two kinds, and the indices of ``m`` pairs of
+        robots. Robot ``first[k]`` is of kind ``a``, robot ``second[k]`` of kind ``b``.
         """
         x, y = position.T
         dx, dy = x[:, None] - x, y[:, None] - y
