@@ -103,7 +103,7 @@ class VoxelGrid:
     def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         """Count blocked voxels in ranges of voxel numbers from ``first`` to ``last``, both included, along all axes.
 
-        The count is 0 if ``last + 1 == first`` along an axis.
+        The count is 0 if ``last < first`` along an axis.
         """
         return self._blocked.within(first, last)
 
@@ -186,7 +186,7 @@ class Sums:
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         """Count the true entries in each range of indices from ``first`` to ``last``, both included, along all axes.
 
-        The count is 0 if ``last + 1 == first`` along an axis. Indices have shape ``(dim, n)``.
+        The count is 0 if ``last < first`` along an axis. Indices have shape ``(dim, n)``.
         """
         # Inclusion and exclusion: entry (i, j, ...) of the table counts indices below i, j, ... So add the entries at
         # all corners of the range, with a minus for each lower end.

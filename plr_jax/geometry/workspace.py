@@ -350,11 +350,11 @@ class Workspace:
     def with_obstacles(self, add: Any = (), remove: Any = ()) -> "Workspace":
         """Return the workspace after obstacles are added and removed.
 
-        Added obstacles, given as for the class, are appended to ``obstacles``. Obstacles to remove are given by
-        indices in ``obstacles``, or by equal rings or Shapely polygons. Parts that other obstacles cover stay
-        blocked. All obstacles keep their indices: an empty polygon, which scene files leave out, replaces a removed
-        obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove does not exist (any more), or
-        nothing is free.
+        Obstacles to add are given as for the constructor, and appended to ``obstacles``. Obstacles to remove are
+        given by indices in ``obstacles``, or by equal rings or Shapely polygons. Parts of removed obstacles that
+        other obstacles cover stay blocked. All obstacles keep their indices: an empty polygon, which scene files
+        leave out, replaces a removed obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove
+        does not exist (any more), or nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)

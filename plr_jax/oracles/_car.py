@@ -280,9 +280,10 @@ class Dubins(_Car):
     units. The ``goal`` is a pose ``(x, y, theta)``, theta in radians. Both must be finite, else ``ValueError``.
 
     A shortest path is one of six words, LSL, RSR, LSR, RSL, RLR, LRL: Dubins, "On curves of minimal length with a
-    constraint on average curvature", American J. of Mathematics 79, 1957. The distance depends on the direction of
-    travel. It jumps, by up to a full circle, at poses from which a single turn, or one turn to each side, leads to
-    the goal. At such poses the shorter path counts, which may miss the goal by 1e-10 turning radii.
+    constraint on average curvature", American J. of Mathematics 79, 1957. The distance from a to b differs from the
+    distance from b to a. The distance jumps, by up to a full circle, at poses from which a single turn, or one turn
+    to each side, leads to the goal. At such poses the shorter path counts, which may miss the goal by 1e-10 turning
+    radii.
     """
 
     @property

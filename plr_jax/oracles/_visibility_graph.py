@@ -189,7 +189,7 @@ class VisibilityGraph:
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
         """Return each box's convex pieces of free space, and for each piece the corners where paths may turn first.
 
-        The result fits paths to any goal.
+        Paths are shortest paths from the piece to any goal.
         """
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 

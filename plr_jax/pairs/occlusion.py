@@ -76,8 +76,9 @@ class NearWalls:
     ) -> "NearWalls | None":
         """Find the walls that may hide each listed corner from points of its leaf; None if they are too many.
 
-        List entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``, both indices; leaves ascend. Walls
-        within ``margin`` of the region between leaf and corner count. ``shape`` is the shape of the array ``first``.
+        List entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``, both indices; leaves ascend. A wall
+        may hide the corner if it is within ``margin`` of the convex hull of the leaf and the corner. ``shape`` is the
+        shape of the array ``first``.
         """
         # For each entry, a query reads as many walls as the longest list has. A wall that a point reads for itself
         # takes `_COST` times as long as a wall that all points share. So no time is saved if the longest list has

@@ -96,7 +96,7 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Walls and corners of a file, moved a little so that rounding cannot hide a corner or open an obstacle.
+    """Walls and corners of a PairPLR's file, moved a little so that rounding in queries does no harm.
 
     Coordinates are relative to the middle of the domain.
     """
@@ -108,7 +108,7 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, for_lower_bounds: bool = False) -> "Scene":
-        """Build the scene of a file: its walls and corners, moved a little because queries round.
+        """Build the scene of a PairPLR's file: its walls and corners, moved a little because queries round.
 
         If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
         into their obstacles, so that rounding hides no corner. With ``for_lower_bounds``, walls of thin obstacles are

@@ -69,7 +69,7 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
-    """Return the number of rows of tables with a row for each corner; rows above ``num_corners`` are padding."""
+    """Return the number of rows of tables with a row for each corner; rows after ``num_corners`` are padding."""
     # One of few sizes, so that few functions are compiled, with room for a corner at `inf`.
     return size_in_eighths(num_corners + 1)
 

@@ -1,10 +1,10 @@
 r"""Thin parts of obstacles: up to about 5e-6 domain widths, so that 32-bit floats hardly tell both sides apart.
 
 For tests of visibility, walls move ``RECEDING``, 4e-6 domain widths, back into their obstacles, so that rounding
-hides no corner (:meth:`Outline.moved_walls`). If an obstacle is so thin that the moved wall would come near free
-space, its wall is called thin. A thin wall stays in place, and corners at its ends move in front of it instead. For
-this, each wall is cut so that it is thin as a whole or not at all. A sharp tip of a thin obstacle gets a corner on
-either side::
+hides no corner (:meth:`Outline.moved_walls`). A wall is called thin if its obstacle is so thin that the moved wall
+would come near free space on the other side. A thin wall stays in place, and the corners at its ends move in front of
+the wall instead. For this, walls are cut so that each is thin as a whole or not at all. A sharp tip of a thin
+obstacle gets a corner on either side::
 
              free space
     ==a======================b==      a wall from a to b, with free space on its left

@@ -105,7 +105,7 @@ class Solution:
 
     @property
     def factor(self) -> float:
-        """Proven upper bound of the path's cost over the cost of the best path; ``inf`` if nothing is proven."""
+        """Proven upper bound of the ratio of the path's cost to the least possible cost; ``inf`` if there is none."""
         if self.cost == 0:
             return 1.0
         return self.cost / self.lower_bound if self.lower_bound > 0 else math.inf

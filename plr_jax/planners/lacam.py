@@ -248,8 +248,8 @@ class Node:
 class LaCAM:
     """A depth-first search over joint configurations: from the newest node, the whole team makes one more step.
 
-    PIBT finds the motions of this step. Each time a node is expanded again, the motions of some robots, over time of
-    more robots, are prescribed, and PIBT finds the motions of all other robots.
+    PIBT finds the motions of this step. When a node is expanded again, the motions of some robots are prescribed, at
+    first of one robot, later of two robots, and so on. PIBT then finds the motions of all other robots.
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
