@@ -301,9 +301,9 @@ class Roadmap:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the distance ``(n,)`` of each point ``(n, dim)`` to the goal along the roadmap.
 
-        Lengths are weighted as the class says. If a point sees no vertex within ``radius``, vertices within 2, 4, ...
-        times the radius are tried. The distance is ``inf`` for a point that is not free, is outside the domain, has a
-        NaN, or sees no vertex from which the goal can be reached.
+        Lengths count with the ``weights`` of the constructor. If a point sees no vertex within ``radius``, vertices
+        within 2, 4, ... times the radius are tried. The distance is ``inf`` for a point that is not free, is outside
+        the domain, has a NaN, or sees no vertex from which the goal can be reached.
         """
         return self._first_vertices(as_points("x", self._settled(x), self.dim))[0]
 

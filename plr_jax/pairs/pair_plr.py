@@ -272,14 +272,15 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
       distance of a point on the other side, or a smaller one. Bounds hold, but lower bounds treat walls this thin as
       free space.
     - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
-      to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
+      to rounding, may see through between wall and tip. So may a point within 4e-6 w of another wall that ends at
+      the tip.
     - Paths around the end of a thin wall may be 2e-6 w too long. If the workspace lets paths squeeze through places
-      where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short. Some are
-      not found: the distance is then the length of a longer path, above the upper bound.
+      where obstacles touch, and a thin wall ends in such a place, paths through such places may be 2e-6 w too short.
+      Some of these paths are not found: the distance is then the length of a longer path, above the upper bound.
 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
-    through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,
-    or lead through the other wall beside the gap.
+    through. Only a gap below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be
+    closed, or paths through the gap may cross the wall on its other side.
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
