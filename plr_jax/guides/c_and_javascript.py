@@ -57,18 +57,13 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 
 ## Small machines
 
-For a file of 4 KB in the plane, code and tables are several times as large as the file: about 4 times with planes,
-6 to 8 times with cones, 15 times with continuous and 44 times with smooth leaves.
-
-`plr.c_header("maze", compact=True)`, or `plr-jax export --compact`, writes the same functions with less memory.
-Instead of tables, this header has encoded bytes, and a decoder that all compact headers in a program share. The bytes
-of a file of 4 KB are about 1.25 times as large as the file with planes, 2 to 2.5 times with cones or continuous
-leaves, and 3 times with smooth leaves. The decoder takes 1 to 4 KB of code and up to 1 KB of stack. A query takes
-0.07 to 0.2 microseconds on a PC; smooth leaves need 4 KB of stack and 1.7 microseconds. Planes and smooth leaves are
-computed in double precision.
-
-The decoder can also query bytes that a robot receives. If `plr_jax_open` accepts damaged bytes, answers may be wrong,
-but no query reads outside of these bytes.
+In the plane, code and tables for a file of 4 KB are about 4 (planes), 6 to 8 (cones), 15 (continuous) or 44 (smooth)
+times as large as the file. `plr.c_header("maze", compact=True)`, or `plr-jax export --compact`, saves memory. Instead
+of tables, it writes encoded bytes, about 1.25 (planes), 2 to 2.5 (cones, continuous) or 3 (smooth) times the size of
+the file, and a decoder that all compact headers of a program share. The decoder takes 1 to 4 KB of code and up to
+1 KB of stack, a query 0.07 to 0.2 microseconds on a PC; smooth leaves need 4 KB of stack and 1.7 microseconds. Planes
+and smooth leaves are computed in double precision. The decoder can also query bytes that a robot receives. If
+`plr_jax_open` accepts damaged bytes, answers may be wrong, but no query reads outside of these bytes.
 
 ```c
 #include <stdio.h>
