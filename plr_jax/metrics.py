@@ -20,14 +20,17 @@ _DIGITS = 4  # digits of a printed position, relative to the largest distance
 
 @dataclass(frozen=True)
 class ErrorReport:
-    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over points.
+    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``.
 
-    ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite.
+    Errors and distances are in workspace units. Errors are taken at the points where both functions are finite.
 
     Attributes:
+        max: Largest error.
+        mean: Mean error.
         quantiles: For each share 0.5, 0.9, 0.99 and 0.999, the error that this share of the points does not exceed.
         max_at: Point of the largest error, ``(dim,)``.
         max_distance: Largest finite distance ``V``, as a scale for the errors.
+        num_points: Number of all points ``x``.
         num_unreachable: Number of points where ``V`` is infinite; the error is undefined there.
         num_unanswered: Number of points where ``V`` is finite and ``L`` is not.
         num_invented: Number of points where ``V`` is infinite and ``L`` is finite.
@@ -107,8 +110,8 @@ def error_grid(
         resolution: Number of nearly square cells along the longer side of the bounds, at least 1.
 
     Returns:
-        Errors ``(rows, columns)``; row 0 has the lowest ``y``. NaN where a cell center is not free or not reachable,
-        ``inf`` where only the approximation is not finite.
+        Errors ``(rows, columns)``; row 0 has the lowest ``y``. The error is NaN where a cell center is not free or
+        the distance is infinite, and ``inf`` where the distance is finite but the approximation is not.
 
     Raises:
         ValueError: If a function returns a wrong shape, the distance function returns NaN, ``at`` leaves other than

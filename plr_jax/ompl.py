@@ -32,8 +32,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     The heuristic is *admissible* between free states from which the PLR's goal is reachable. This suffices for the
     only planners that use it: BIT*, BFMT* and SORRT*. It is not *consistent*: bounds jump between leaves by up to
-    ``2 * plr.max_error``, so a graph search must reopen states. The bounds of each new state take time to compute.
-    This pays off if motion tests take longer.
+    ``2 * plr.max_error``, so a graph search must reopen states. The bounds of each new state take time to compute, so
+    the heuristic pays off only if motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
@@ -84,7 +84,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
     """Return a function from a state of an OMPL space to its ``dim`` coordinates, or raise a ``ValueError``.
 
-    It is known for a ``RealVectorStateSpace`` of at least ``dim`` dimensions, and for an ``SE2StateSpace``.
+    There is such a function for a ``RealVectorStateSpace`` of at least ``dim`` dimensions and, if ``dim`` is 2 or 3,
+    for an ``SE2StateSpace``. ``base`` is the module ``ompl.base``.
     """
     if isinstance(space, base.RealVectorStateSpace) and space.getDimension() >= dim:
         return lambda state: [state[axis] for axis in range(dim)]

@@ -1,7 +1,7 @@
 """Tests whether boxes contain points that *reach* a goal, or *cut-off* points.
 
-A point reaches the goal if a free path joins them. Free points without such a path are cut off. ``Workspace.reach``
-makes exact tests for polygons, ``reach_of_cells`` makes tests for the cells of a grid.
+A point reaches the goal if a free path leads from the point to the goal. A free point without such a path is cut off.
+``Workspace.reach`` makes exact tests for polygons, ``reach_of_cells`` makes tests for the cells of a grid.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class Reach:
         reached: Whether each box holds a point that reaches the goal.
         cut_off: Whether each box holds a cut-off point: a free point from which no free path leads to the goal.
         far: Whether each box holds a cut-off point farther than 1/64 from all points that reach the goal, where 1 is
-            the width of the domain along each axis. For a grid of cells: whether it may hold such a point.
+            the width of the domain along each axis. For a grid of cells: whether the box may hold such a point.
     """
 
     reached: BoxTest
@@ -40,16 +40,19 @@ class Reach:
     far: BoxTest
 
     def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether each box holds a cut-off point, but no point that reaches the goal, not even by rounding."""
+        """Return whether each box holds a cut-off point, but no point that reaches the goal.
+
+        The second test takes a slightly larger box, because a query rounds points.
+        """
         # Rounding may place points just outside of a box inside.
         holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
         holds[holds] = ~self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
         return holds
 
     def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether each box holds a point that reaches the goal, and a cut-off point far from all such points.
+        """Return whether each box holds a point that reaches the goal, and also passes the test ``far``.
 
-        The result is False for boxes whose diagonal is at most 1/64, in fractions of the domain.
+        The result is False for boxes with a diagonal of at most 1/64, in fractions of the domain.
         """
         holds = self.far(lo + _SHRUNK, hi - _SHRUNK) & (np.linalg.norm(hi - lo, axis=1) > FAR)
         holds[holds] = self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
@@ -60,7 +63,7 @@ class Reach:
         return self.reached(lo + _SHRUNK, hi - _SHRUNK)
 
     def cut_off_fraction(self, dim: int) -> float:
-        """Estimate the share of free space that is cut off, from 0 to 1."""
+        """Estimate the share of free space that is cut off, from 0 to 1, in a domain of ``dim`` dimensions."""
         # Count the boxes of a lattice that hold reached points, and the boxes that hold cut-off points.
         num = round(_NUM_BOXES ** (1 / dim))
         lo = np.array(list(product(range(num), repeat=dim))) / num

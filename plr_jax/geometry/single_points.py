@@ -1,8 +1,8 @@
 """Location and visibility of single points, in plain Python.
 
 A query of one point is ten times faster in Python floats than in NumPy. Where rounding could matter, this module
-leaves the answer to the functions for batches. Elsewhere it uses the same arithmetic as they do. So its results equal
-the results of a batch to the bit.
+leaves the answer to the functions for batches. Elsewhere it uses the same arithmetic as these functions, so the
+results for a point and for a batch are equal to the bit.
 """
 
 from bisect import bisect_right
@@ -32,7 +32,10 @@ class Place(NamedTuple):
     beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
     def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
-        """Join the lists of the triangles ``t`` that contain the point: ``entries[first[t] : first[t + 1]]``."""
+        """Join the lists of the triangles that contain the point.
+
+        The list of triangle ``t`` is ``entries[first[t] : first[t + 1]]``.
+        """
         listed = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
             return listed
@@ -40,7 +43,10 @@ class Place(NamedTuple):
 
 
 class PointLocator:
-    """A point location for one point at a time, without calls of NumPy; see :meth:`Triangulation.place`."""
+    """A locator that finds the triangle of one point at a time, without calls of NumPy.
+
+    For batches of points, use :meth:`Triangulation.place`.
+    """
 
     def __init__(self, triangulation: Triangulation):
         locator = triangulation.locator
@@ -51,7 +57,11 @@ class PointLocator:
         self._grid, self._tolerance = triangulation.grid, triangulation.tolerance
 
     def place(self, x: float, y: float) -> Place | None:
-        """Return a point's place. None if it is outside free space, or so near two sides that rounding matters."""
+        """Return the :class:`Place` of the point ``(x, y)``, or None if the function for batches must find it.
+
+        The result is None if the point is outside free space, or so near two sides of a triangle that rounding
+        matters.
+        """
         # 1. Find the cell of the locator's grid.
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
@@ -74,9 +84,10 @@ class PointLocator:
         return [a * x + b * y - c, d * x + e * y - f, g * x + h * y - i]
 
     def _place_near_side(self, x: float, y: float, half_edge: int) -> Place | None:
-        """Return the place of a point near a half-edge: on one side of it, or on both. The test is exact.
+        """Return the place of the point ``(x, y)`` near a half-edge: on its left, on its right, or exactly on it.
 
-        None if the point is outside free space, or also near another side.
+        The result is None if the point is outside free space, or also near another side of the triangle across the
+        half-edge. ``half_edge`` is an index in the triangulation.
         """
         triangle, twin = half_edge // 3, self._twin[half_edge]
         beyond = twin // 3 if twin >= 0 else triangle
@@ -92,7 +103,7 @@ class PointLocator:
         return Place(x, y, triangle, beyond if side == 0 else triangle)
 
     def is_free_segment(self, start: Place, end: Place) -> bool | None:
-        """Return whether the segment between two points is free; None if it passes too near a vertex to tell."""
+        """Return whether the segment between two points is free, or None if it passes too near a vertex to tell."""
         if start.triangle == end.triangle:
             return True
         # Let d be the segment's vector. The cross product of d and a corner's offset from the start is positive on
@@ -120,7 +131,10 @@ class PointLocator:
 
 
 class PointSight:
-    """A sight test of one viewpoint and one place at a time, mostly without calls of NumPy."""
+    """A test whether a viewpoint of a visibility table sees a :class:`Place`, mostly without calls of NumPy.
+
+    Each call tests one viewpoint and one place.
+    """
 
     def __init__(self, table: VisibilityTable):
         boundary = table.boundary
@@ -130,7 +144,7 @@ class PointSight:
         self._normal, self._offset = _flat(boundary.normal), _flat(boundary.offset)
 
     def sees(self, view: int, place: Place) -> bool:
-        """Return whether a viewpoint sees a place, with the same result as :meth:`VisibilityTable.sees`."""
+        """Return whether the viewpoint of index ``view`` sees a place, as :meth:`VisibilityTable.sees` does."""
         # 1. Find the key of the direction, 4 view + pseudo_angle(u, v), and its interval in the table.
         i, keys, x, y = 2 * view, self._key, place.x, place.y
         dx, dy, cx, cy = x - self._points[i], y - self._points[i + 1], self._cut[i], self._cut[i + 1]
@@ -150,7 +164,10 @@ class PointSight:
 
 
 class CornerSight(PointSight):
-    """A test of one corner and one place at a time: whether a shortest path can turn there."""
+    """A test whether a shortest path from a :class:`Place` can turn at a corner, mostly without calls of NumPy.
+
+    Each call tests one corner and one place.
+    """
 
     def __init__(self, visibility: CornerVisibility):
         super().__init__(visibility.table)
@@ -158,9 +175,10 @@ class CornerSight(PointSight):
         self._opens, self._closes = map(_flat, visibility.corners.walls)
 
     def may_turn(self, corner: int, place: Place) -> bool:
-        """Return whether a shortest path from a place may turn at a corner.
+        """Return whether a shortest path from a place may turn at the corner of index ``corner``.
 
-        It may if the segment to the corner is free, and both walls at the corner lie on one side of its line.
+        The path may turn there if the segment from the place to the corner is free, and both walls at the corner lie
+        on one side of the line through the segment.
         """
         i, slack = 2 * corner, self._slack
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]

@@ -19,9 +19,9 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
 
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
-    """Return the cross products ``ux * vy - uy * vx``.
+    """Return the cross products ``ux * vy - uy * vx`` of vectors ``(ux, uy)`` and ``(vx, vy)``.
 
-    Their signs are exact if the coordinates are 45-bit integers times a common power of two.
+    The signs are exact if all coordinates are 45-bit integers times a common power of two.
     """
     # Rounding of the products p and q may change the sign of p - q if they are nearly equal. Then add their rounding
     # errors: the exact result is (p + error of p) - (q + error of q).
@@ -95,7 +95,8 @@ def arc(
     """Divide an arc into equal chords, and return the points where they begin and end.
 
     The arc leads counterclockwise from ``center + start`` to ``center + end``. If ``outside``, return instead the
-    vertices of a polyline around the arc, with the same ends: it follows the tangents at these points.
+    vertices of a polyline outside the arc with the same ends. Its edges lie on the tangents of the arc at the ends of
+    the chords.
     """
     # At angle a from `start`, the offset from the center is cos(a) start + sin(a) (start turned left).
     turn = turn_between(start, end)

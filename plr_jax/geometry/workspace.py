@@ -112,11 +112,11 @@ class Workspace:
     ) -> "Workspace":
         """Build a workspace whose free space is given as polygons with holes.
 
-        Components are one Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
-        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap, and may
-        reach beyond the outer ring. Free space is the union of the components within the bounds, by default their
-        bounding box. ``ValueError`` if there is no component, a component or the bounds are invalid, or nothing is
-        free.
+        ``components`` is a Shapely polygon, multipolygon or collection; or a list of such geometries and of mappings
+        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap, and may reach
+        beyond the outer ring. Free space is the union of the components within the bounds. By default, the bounds are
+        the bounding box of the components. ``ValueError`` if there is no component, a component or the bounds are
+        invalid, or nothing is free.
         """
         return cls._from_free_space(*components_region(components, bounds), squeeze)
 
@@ -182,7 +182,7 @@ class Workspace:
         return "triangulation" in self.__dict__
 
     def use_triangulation(self, triangulation: Triangulation) -> None:
-        """Set ``triangulation`` to a known one instead of computing it; the triangles must fill free space."""
+        """Use a known triangulation instead of computing one; its triangles must fill free space."""
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
@@ -196,7 +196,7 @@ class Workspace:
 
     @property
     def edge_tree(self) -> shapely.STRtree:
-        """A Shapely ``STRtree`` of the edges of ``boundary`` as lines, numbered as in ``boundary.edges``."""
+        """A Shapely ``STRtree`` of the boundary's edges as line segments, with the indices of ``boundary.edges``."""
         return self.boundary.tree
 
     @cached_property
@@ -204,11 +204,12 @@ class Workspace:
         return triangulate(self.free_space)
 
     def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
-        """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
+        """Move points ``(..., 2)`` of 32-bit floats that lie outside free space only by rounding to its boundary.
 
-        The rule is as for :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. In the
-        domain, a point that is not free moves to the nearest free point if that is at most one step of 32 bits away.
-        Any point within one step of a contact of obstacles moves to the contact.
+        A step is the spacing of 32-bit floats at the point. A point beyond the domain (by default the bounds) moves
+        as by :meth:`Box.settled`. A point in an obstacle moves to the nearest free point if that is at most one step
+        away. A point within one step of a place where obstacles touch moves to this place. All other points, and
+        points of 64-bit floats, keep their coordinates.
         """
         domain = self.bounds if domain is None else domain
         settled = domain.settled(x)
@@ -228,9 +229,10 @@ class Workspace:
         return settled
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
+        """Return whether points ``(n, 2)`` lie within ``tolerance`` of free space.
 
-        Points not finite or outside the bounds are not free; 32-bit points outside only by rounding are free.
+        Points that are not finite or outside the bounds are not free. Points of 32-bit floats that lie outside only
+        by rounding are free.
         """
         x = as_points("x", self.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
@@ -240,10 +242,10 @@ class Workspace:
         return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
 
     def reachable(self, x: ArrayLike, goal: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether free paths lead from points ``(n, 2)`` to a goal ``(2,)``, to ``tolerance``.
+        """Return whether free paths lead from points ``(n, 2)`` to a goal ``(2,)``.
 
-        The answer is exact: it compares the connected parts of free space that contain the points and the goal. It is
-        False for points that are not free, and for all points if the goal is not free.
+        The answer is exact up to ``tolerance``: it compares the connected parts of free space that contain the points
+        and the goal. It is False for points that are not free, and for all points if the goal is not free.
         """
         x, goal = as_points("x", self.settled(x), 2), as_finite_point("goal", self.settled(goal), 2)
         parts, is_reached = shapely.get_parts(self.free_space), self.is_free(x)
@@ -252,7 +254,10 @@ class Workspace:
         return is_reached & np.isin(np.arange(len(x)), beside)
 
     def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
-        """Return tests whether boxes of a domain hold free points that reach a goal; None if all free points do."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+
+        The result is None if a path leads from every free point to one of the ``goals``.
+        """
         # 1. Find the connected parts of free space that reach a goal.
         parts = shapely.get_parts(self.free_space)
         if len(parts) < 2:
@@ -345,11 +350,11 @@ class Workspace:
     def with_obstacles(self, add: Any = (), remove: Any = ()) -> "Workspace":
         """Return the workspace after obstacles are added and removed.
 
-        Added obstacles, given as for the class, are appended to ``obstacles``. Obstacles to remove are given by
-        indices in ``obstacles``, or by equal rings or Shapely polygons. Parts that other obstacles cover stay
-        blocked. All obstacles keep their indices: an empty polygon, which scene files leave out, replaces a removed
-        obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove does not exist (any more), or
-        nothing is free.
+        Obstacles to add are given as for the constructor, and appended to ``obstacles``. Obstacles to remove are
+        given by indices in ``obstacles``, or by equal rings or Shapely polygons. Parts of removed obstacles that
+        other obstacles cover stay blocked. All obstacles keep their indices: an empty polygon, which scene files
+        leave out, replaces a removed obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove
+        does not exist (any more), or nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)
@@ -372,7 +377,7 @@ class Workspace:
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
-        """Return the numbers of the obstacles that ``remove`` names, by number or by an equal polygon."""
+        """Return the indices in ``obstacles`` of the items of ``remove``, which are indices or equal polygons."""
         numbers: set[int] = set()
         if not isinstance(remove, BaseGeometry | Iterable):
             raise ValueError(f"remove must be a list of obstacle numbers or polygons, got {shortened(remove)}.")
@@ -409,19 +414,19 @@ class Workspace:
 def joined_parts(
     parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
 ) -> Bool[np.ndarray, " parts"]:
-    """Return whether each polygon contains one of the points, to ``tolerance``.
+    """Return whether each polygon of ``parts`` comes within ``tolerance`` of one of the points.
 
-    If paths may squeeze through contacts, the result is also True for a polygon that a chain of touching polygons
-    joins to a polygon that contains a point.
+    If ``may_squeeze``, the result is also True for every polygon that a chain of touching polygons joins to such a
+    polygon.
     """
     places, group = np.asarray(shapely.points(points)), part_groups(parts, may_squeeze)
     return np.isin(group, group[shapely.STRtree(parts).query(places, predicate="dwithin", distance=tolerance)[1]])
 
 
 def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, " parts"]:
-    """Return a group number for each polygon.
+    """Return a group number for each polygon of ``parts``.
 
-    If paths may squeeze through contacts, touching polygons have the same number. Else all numbers differ.
+    If ``may_squeeze``, polygons that touch have the same number. Otherwise all numbers differ.
     """
     if not may_squeeze:
         return np.arange(len(parts))

@@ -19,9 +19,10 @@ class NearestGoal:
 
     Pass one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. To share
     preprocessing, use ``[first, *map(first.with_goal, others)]``, where ``first`` is a ``VisibilityGraph``, a
-    ``Roadmap`` or a ``GridGraph``. ``construct`` and planners accept the result as a distance function. If all
-    functions are ``VisibilityGraph``s of one workspace, a PLR built from it may have cone leaves, can be certified,
-    and tells the nearest goal by :meth:`PLR.which`. After a PLR is saved and loaded, ``which`` needs cone leaves.
+    ``Roadmap`` or a ``GridGraph``. ``construct`` and planners accept a NearestGoal as a distance function. If all
+    functions are ``VisibilityGraph``s of one workspace, a PLR built from the NearestGoal may have cone leaves, can be
+    certified, and tells the nearest goal by :meth:`PLR.which`. After a PLR is saved and loaded, ``which`` needs cone
+    leaves.
 
     Represent a wide exit, such as a door, by several goals: points along it, no farther apart than twice the error
     that you accept. If the map changes, make a new object:
@@ -54,21 +55,21 @@ class NearestGoal:
     def __call__(self, x: ArrayLike) -> Any:
         """Return the distances ``(n,)`` of points ``(n, dim)`` to the nearest goal, ``inf`` if none can be reached.
 
-        Inside ``jit``, this needs distance functions that can be traced, such as PLRs.
+        Inside ``jit``, all distance functions must be traceable, such as PLRs.
         """
         return self._distances(x).min(axis=0)
 
     def which(self, x: ArrayLike) -> Any:
-        """Return the index ``(n,)`` of the goal nearest to each point: the first of equally near ones.
+        """Return the index ``(n,)`` of the goal nearest to each point ``(n, dim)``, -1 if no goal can be reached.
 
-        The index is -1 if no goal can be reached.
+        Of several nearest goals, the first counts.
         """
         distances = self._distances(x)
         xp = distances.__array_namespace__()
         return xp.where(xp.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return a point's path ``(m, dim)`` to the nearest goal.
+        """Return the shortest path from a point ``(dim,)`` to the nearest goal, as vertices ``(m, dim)``.
 
         ``ValueError`` is raised if the distance function of that goal has no method ``shortest_path``.
         """

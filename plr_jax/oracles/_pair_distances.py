@@ -36,7 +36,10 @@ _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 @dataclass(frozen=True, eq=False)
 class _CornerLists:
-    """For each point, the corners at which paths from it may turn first, and their distances from it."""
+    """Lists of corners, one for each of several points: the corners at which paths from the point may turn first.
+
+    Each entry also has the distance from the point to the corner.
+    """
 
     first: Int[np.ndarray, " points_plus_one"]  # index of the first entry of each point
     corner: Int[np.ndarray, " entries"]
@@ -76,13 +79,13 @@ class PairDistances:
 
     @cached_property
     def _graph(self) -> Graph:
-        """The graph of corners; edges join two that see each other if a shortest path can turn at both of them."""
+        """The graph of corners. An edge joins two corners that see each other if a shortest path can turn at both."""
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, " corners"]]:
-        """Return, for each of the given corners, the row of its distances to all corners."""
+        """Return, for each of the given corner indices, an array of path lengths from this corner to all corners."""
         # Rows of up to `_at_once` corners are cached. If the cache is full, a new one replaces it.
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
@@ -127,7 +130,7 @@ class PairDistances:
         return distance
 
     def _distances(self, x: Points, y: Points) -> Distances:
-        """Return the distances of many pairs of points, in batches."""
+        """Return the length of the shortest path from ``x[i]`` to ``y[i]`` for each ``i``, computed in batches."""
         # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
@@ -147,7 +150,10 @@ class PairDistances:
         return distance
 
     def _distance(self, x: list[float], y: list[float]) -> float:
-        """Return the distance of two points, equal in all bits to `_distances`; NaN if a point is in no triangle."""
+        """Return the length of the shortest path between two points, equal in all bits to the result of `_distances`.
+
+        The result is NaN if :class:`PointLocator` has no place for one of the points.
+        """
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
@@ -160,7 +166,10 @@ class PairDistances:
         return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
 
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
-        """Return the length of the shortest path between two points that do not see each other."""
+        """Return the length of the shortest path between points ``x`` and ``y`` that do not see each other.
+
+        ``start`` and ``end`` are the places of ``x`` and ``y`` in the triangulation.
+        """
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
             return math.inf
@@ -186,9 +195,10 @@ class PairDistances:
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
-        """Return the corners at which paths from a point may turn first, and their distances from the point.
+        """Return the indices of corners at which paths from the point ``x`` may turn first, and their distances to x.
 
-        Some of the corners may not be visible from the point.
+        ``place`` is the place of the point in the triangulation. Some of the corners may not be visible from the
+        point.
         """
         corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T
@@ -196,7 +206,7 @@ class PairDistances:
 
     @cached_property
     def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
-        """Distances of all corners from a few corners, the landmarks, that are far from one another."""
+        """Path lengths between all corners and a few *landmarks*: corners that are far from one another."""
         # Farthest-point sampling: the next landmark is the corner that is farthest from the nearest landmark so far.
         num_corners = len(self._graph.vertices)
         to_nearest, rows = np.full(num_corners, np.inf), []
@@ -225,9 +235,10 @@ class PairDistances:
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return the length of the shortest path for each pair of points, by way of the listed corners.
+        """Return, for each ``i``, the length of the shortest path from a point x to a point y through listed corners.
 
-        Paths of pair ``i`` turn first at a corner that ``at_x`` lists for point ``i``, and last at one of ``at_y``.
+        The path must turn first at a corner in list ``i`` of ``at_x``, the corners visible from x, and last at a
+        corner in list ``i`` of ``at_y``, the corners visible from y.
         """
         # 1. For each entry of x, minimize `onward`, D(i, j) + |j - y|, over the entries j of the same pair's y: in
         #    batches of corners i, whose rows of D fit into memory, then in batches of combinations.
@@ -247,7 +258,7 @@ class PairDistances:
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
-        """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
+        """Return, for each point, the corners visible from the point at which a shortest path from it may turn."""
         # Handle equal points once. As complex numbers, points are sorted by their first coordinate, then by the
         # second.
         _, index, inverse = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
@@ -261,9 +272,10 @@ class PairDistances:
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(is_kept).take(inverse)
 
     def _candidates(self, x: Points) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " runs"]]:
-        """Return the number of corners that may see each point, and the lists that hold these corners.
+        """Return the number of corners that may see each point, and the indices of the lists that hold these corners.
 
-        The lists are indices in `_lists_of_triangles`, one or more per point, point by point.
+        The lists are those of `_lists_of_triangles`. Each point has one list or more; the result has the lists of the
+        first point, then of the second point, and so on.
         """
         # A point has the lists of all triangles that contain it. A point that is a vertex of triangles has the last
         # list, which holds all corners.

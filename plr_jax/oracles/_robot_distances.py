@@ -12,14 +12,14 @@ _SLACK = 4  # robots are shrunk by this many times the workspace's tolerance
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
+    """Return, for each robot, a function: the exact distance to the robot's goal, without the other robots.
 
     Each distance function takes positions ``(n, 2)``. Distances are at most the length of the robot's own shortest
     path, and ``inf`` at blocked positions. Robots of equal size share the preprocessing of the map.
 
-    If ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), so that
-    distances are those of its reference point. Otherwise distances are those of a point robot, which are shorter, as
-    in section V-B of the paper (Putman et al.).
+    If ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), and
+    distances are those of the robot's reference point. Otherwise distances are those of a point robot, which are
+    shorter, as in section V-B of the paper (Putman et al.).
     """
     first: dict[float, VisibilityGraph] = {}  # the first robot's oracle for each radius of inflation
     distance_fns = []
@@ -36,7 +36,7 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
 
 
 def exact_lower_bound(problem: Problem) -> float:
-    """Return the sum of the robots' exact distances to their goals: no path of the team costs less.
+    """Return the sum of the robots' exact distances to their goals, a lower bound of the cost of all team paths.
 
     Each robot counts as alone in the workspace, and turns cost nothing. The bound is ``inf`` if a robot cannot reach
     its goal.
