@@ -140,7 +140,7 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
 
 
 def filled_with_inf(value: ArrayLike) -> ArrayLike:
-    """Convert a masked array to an ordinary array with ``inf`` for masked entries; return any other value unchanged."""
+    """Convert a masked array to an ordinary array, with ``inf`` for masked entries; return other values unchanged."""
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value

@@ -107,9 +107,9 @@ def descend(
         a path may cost some percent more than the cheapest path.
 
     Raises:
-        ValueError: If ``distance_fn`` is no function; ``space`` is neither a Workspace nor a ConfigurationSpace; a
-            shape is wrong; the goal is not free; ``distance_fn`` returns NaN; or the cost map returns a factor that
-            is not positive and finite.
+        ValueError: If an argument has a wrong type or shape (``space`` must be a Workspace or a ConfigurationSpace),
+            or the goal is not free. Also if ``distance_fn`` returns NaN, or the cost map returns a factor that is not
+            positive and finite.
 
     References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """

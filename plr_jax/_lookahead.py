@@ -295,10 +295,10 @@ class _Lookahead:
     def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
         """Return a path from a local minimum ``x`` to a point where the field is less than ``below``.
 
-        The path is the array of its nodes after ``x``, or None if the search fails. If the straight motion from ``x``
-        to the center of its grid cell is free, the path leads through the center, from where all minima in the cell
-        share one path. So no path depends on the other starts. If the shared path does not fall below ``below``, the
-        search begins at ``x``.
+        The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
+        one path from the cell's center, so that no path depends on the other starts. This path is used if the
+        straight motion from ``x`` to the center is free and the path falls below ``below``; else the search begins at
+        ``x``.
         """
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width

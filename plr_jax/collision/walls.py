@@ -99,7 +99,10 @@ class MotionTest:
         return self._clearance[cell] - from_center > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
-        """Return which motions are free: the grid's clearances decide most of them, tests against walls the others."""
+        """Return which motions are free.
+
+        The clearances that the grid stores decide most motions; the others are tested against walls.
+        """
         pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
         # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
@@ -138,7 +141,10 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
-        """Return which pieces of motions hit no wall; unless the robot is a point, test only walls near their cells."""
+        """Return which pieces of motions hit no wall.
+
+        For a point robot, all walls are tested, for other robots the walls near each piece's cell.
+        """
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
