@@ -147,9 +147,9 @@ def filled_with_inf(value: ArrayLike) -> ArrayLike:
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
-    """Check the result ``value`` of a function called ``name`` for ``n`` points: it must be one number per point.
+    """Check that ``value``, the result of a function called ``name`` for ``n`` points, is one real number per point.
 
-    Return it as float64; masked entries become ``inf``.
+    Return the result as float64; masked entries become ``inf``.
     """
     values = as_numbers(f"{name}'s answer", filled_with_inf(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
@@ -159,9 +159,9 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
-    """Check the result ``value`` of a function called ``name`` for ``n`` points, and return it as an array.
+    """Check that ``value``, the result of a function called ``name`` for ``n`` points, is one boolean per point.
 
-    It must be one boolean per point, and no entry may be masked.
+    No entry may be masked. Return the result as an array.
     """
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
@@ -214,7 +214,7 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
     """Return the number of rows to which ``n`` rows are padded, so that compiled functions see few shapes.
 
-    The result is the first of ``sizes`` that is at least ``n``; if there is none, the least power of two that is.
+    The result is the first of ``sizes`` that is at least ``n``. If all are less, it is the next power of two.
     """
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
@@ -269,7 +269,7 @@ def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
 
 
 def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Return, for each number in ``wanted``, its index in ``values``, which are distinct; -1 if it is not there."""
+    """Return, for each entry of ``wanted``, its index in ``values``, or -1. The ``values`` must be distinct."""
     if not len(values):
         return np.full(len(wanted), -1)
     order = np.argsort(values)

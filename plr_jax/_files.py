@@ -1,8 +1,8 @@
 """Safe reading of text, JSON and YAML files, and atomic writing of files.
 
-A file may have at most 16 MiB by default, at most 32 levels of nesting, and only integers that fit into a float. Bad
-content raises ``ValueError`` only. YAML aliases and tags are rejected: with aliases, a few bytes can expand to any
-size.
+A file may have at most 16 MiB by default, at most 32 levels of nesting, and only integers that fit into a float. YAML
+aliases and tags are rejected: with aliases, a few bytes can expand to any size. For bad content, readers raise
+``ValueError`` and no other exception.
 """
 
 import json
@@ -103,7 +103,8 @@ def _loader() -> Any:
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
     """Raise a ``ValueError`` unless a decoded file has the given kind, at most the given version, and all ``keys``.
 
-    Its key "format" must be :func:`format_name` of the ``kind``, and its key "version" an integer of at least 1.
+    In ``document``, the decoded file, "format" must be :func:`format_name` of the ``kind``, and "version" an integer
+    of at least 1.
     """
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')

@@ -357,8 +357,8 @@ class _Lookahead:
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
     """Shorten paths: skip a node if the straight motion from the node before it to the node after it is cheaper.
 
-    The motion must also be free. ``onward`` is the index of the next node of each node, and so is the result; -1
-    marks a node from which no path continues.
+    The motion must also be free. ``onward`` and the result are the index of each node's next node; -1 marks a node
+    from which no path continues.
     """
     # In each round, every node tries to skip its next node: to go straight to the node after it. A pair is tried
     # once.
@@ -411,7 +411,7 @@ def _cheapest_places(
     """Return, for each ``i``, the point through which the path from ``before[i]`` to ``after[i]`` costs least.
 
     The candidates are ``x[i]``, and ``x[i] + changes[j]`` for each ``j``. The path consists of two straight motions,
-    which must be free.
+    which must be free. If no candidate is better, the point is ``x[i]``.
     """
     # Changes are compared by estimated costs where the estimate at x is accurate (`is_known`), else by exact costs.
     domain, k = costs.space.domain, len(changes)

@@ -115,8 +115,8 @@ def path_cost(problem: Problem, path: ArrayLike) -> float:
 def makespan(problem: Problem, path: ArrayLike) -> float:
     """Return the duration of a path ``(steps, robots, dof)`` at unit speed.
 
-    A motion takes as long as the cost of its most expensive robot (see :func:`path_cost`). If ``rotation_weight`` is
-    0, turns cost nothing but still take time: as much as with the default weight.
+    The duration of a motion is the largest cost of any robot in this motion. If ``rotation_weight`` is 0, turns cost
+    nothing but still take time: as much as with the default weight.
     """
     return float(row_times(problem, path)[-1])
 
@@ -226,7 +226,7 @@ def _require_free(problem: Problem, name: str) -> None:
 
 
 def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
-    """Return the robot's distance to the edge of the bounds, the clearance to the nearest obstacle, and its index.
+    """Return a robot's distance to the edge of the bounds, and the clearance and index of the nearest obstacle.
 
     The distance is negative if the robot leaves the bounds. Only obstacles that the robot touches or overlaps are
     measured, so the clearance is at most 0. If there are none, the clearance is ``inf`` and the index -1.

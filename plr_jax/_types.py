@@ -59,7 +59,7 @@ class DimensionedFn(_PointFn, Protocol):
 
 @runtime_checkable
 class FunctionOfBox(_PointFn, Protocol):
-    """A function that is defined at the points of a :class:`Box`, its ``domain``."""
+    """A function with an attribute ``domain``: the :class:`Box` of points at which the function is defined."""
 
     @property
     def domain(self) -> Any: ...

@@ -1,7 +1,7 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Both use the same boundary of free space, and the same rule for the direction of turns. Here, the shapes of robots are
-Shapely geometries.
+The check and the planners use the same boundary of free space, and the same rule for the direction of turns. In the
+check, the shapes of robots are Shapely geometries.
 
 In a motion without turns, a robot sweeps a convex hull, whose distance to obstacles is exact. Motions with turns are
 bisected in time: in an interval, the clearance is at least its value in the middle, minus the largest distance that
@@ -65,7 +65,7 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     the shorter way; a half turn is counterclockwise.
 
     A point robot may be outside of free space by twice the workspace's ``tolerance``; if the path has 32-bit floats,
-    also by their rounding. It may not cross a wall of ``Workspace.free_space``, however thin.
+    also by the rounding of its coordinates. It may not cross a wall of ``Workspace.free_space``, however thin.
 
     An invalid path is reported, and raises no error. ``ValueError`` is raised if ``problem`` is not a Problem, or
     ``path`` is a Solution instead of its path.

@@ -156,8 +156,8 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
     """Return a function that gives the distance to one goal: a PLR itself, or for pairs the distance to ``goal``.
 
     ``content`` is what was loaded from ``file``: a PLR, or pairs (distances between any two points). ``goal`` has the
-    texts ``X,Y`` of the option ``--goal``. ``ValueError`` is raised if it is given for a PLR, or if pairs come
-    without exactly one goal.
+    texts ``X,Y`` of the option ``--goal``. ``ValueError`` is raised if a goal is given for a PLR, or not exactly one
+    goal for pairs.
     """
     from plr_jax.plr import PLR
 

@@ -77,7 +77,7 @@ class NamedMap:
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
 
-        If :attr:`goals` is None, a scene with one robot has its own goal, and the goals of other maps are None.
+        If :attr:`goals` is None, return the own goal of a scene with one robot, or None as the goals of another map.
         """
         from plr_jax import scenes
 

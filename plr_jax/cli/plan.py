@@ -102,7 +102,7 @@ def solve(problem: "Problem", options: "BLOptions", heuristic: "HeuristicFn | No
     """Plan a path, and print a report. If the path found is not valid, the command ends with exit code 1.
 
     If ``heuristic`` is None, :func:`plr_jax.bl_plan` uses its default. The report compares the path's cost with a
-    lower bound: the sum of the costs that the robots would have if each were alone in the workspace.
+    lower bound: the sum of the robots' exact distances to their goals, each robot alone in the workspace.
     """
     from plr_jax import bl_plan, exact_lower_bound, validate
 

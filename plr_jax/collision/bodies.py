@@ -35,7 +35,7 @@ Ends: TypeAlias = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 class MovingBodies(NamedTuple):
     """Convex bodies in straight motion during one unit of time; each array has one column per body.
 
-    The pose at the begin is ``(x, y, theta)``; ``(dx, dy, turn)`` is its change per unit of time.
+    The pose at the begin is ``(x, y, theta)``; the change of the pose per unit of time is ``(dx, dy, turn)``.
     """
 
     size: Float[np.ndarray, "*size n"]  # half length and half width of boxes (2, n), or vertices (2, vertices, n)
@@ -75,9 +75,9 @@ def bisect(
 ) -> Booleans:
     """Return whether each body of ``a`` stays ``reach`` away from the body of ``b`` in the same column.
 
-    A negative ``reach`` allows overlaps. Motions are bisected until ``kernel``, a separation test, is certain. Pairs
-    that are still uncertain after 12 bisections count as too near. ``TimeoutError`` is raised if the ``deadline``, a
-    time of ``time.perf_counter``, passes.
+    The bodies move at the same time. A negative ``reach`` allows overlaps. Motions are bisected until ``kernel``, a
+    separation test, is certain. Pairs that are still uncertain after 12 bisections count as too near. If the
+    ``deadline``, a time of ``time.perf_counter``, passes, ``TimeoutError`` is raised.
     """
     num_a, num_b = a.size.shape[-2], b.size.shape[-2]  # corners
     size = max(1, _CORNERS // max(num_a + num_b, num_a * num_b if reach > 0 else 0))  # distances need all pairs
@@ -131,7 +131,7 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Return which pairs of convex bodies certainly stay ``reach`` apart, and which pairs certainly do not.
 
-    The results are two boolean arrays with one entry per pair. A pair may be in neither.
+    The results are two boolean arrays with one entry per pair. For an uncertain pair, both entries are False.
     """
     # The gap along a unit vector n is min(n . q over corners q of b) - max(n . p over corners p of a). `gap` is the
     # largest lower bound of the gap during the whole motion, over the axes below.
@@ -269,7 +269,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Return which pairs of a box ``a`` and a point ``b`` certainly stay ``reach`` apart, and which certainly do not.
 
-    The results are two boolean arrays with one entry per pair. A pair may be in neither.
+    The results are two boolean arrays with one entry per pair. For an uncertain pair, both entries are False.
     """
     # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
     ends, distances = [], []

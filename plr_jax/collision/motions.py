@@ -53,7 +53,7 @@ class TeamTrajectory:
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
         """Replace the path of robot ``i``, or only the given ``rows`` of the path, by the configurations ``q``.
 
-        If only ``rows`` are given, the first and the last of these configurations must be equal to the old ones.
+        If ``rows`` is given, the first and the last row of ``q`` must equal the path's rows that they replace.
         """
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
@@ -63,7 +63,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, first_row: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """Find the robots whose motions come so near to circles that robot ``i`` in a circle may meet them.
+        """Find the robots that robot ``i`` may meet while its reference point is in given circles.
 
         While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
         of robot ``i`` is somewhere in circle ``k`` of ``around``. Robots ``excluded`` are left out.
@@ -94,7 +94,7 @@ class TeamTrajectory:
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
     """Return the indices ``i`` for which two robots may meet if each stays in its i-th circle.
 
-    The reference point of ``robot_a`` stays in a circle of ``around_a``, that of ``robot_b`` in one of ``around_b``.
+    The circles for the reference point of ``robot_a`` are ``around_a``, those for ``robot_b`` are ``around_b``.
     """
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)

@@ -56,8 +56,8 @@ def _rows_within(
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers, Numbers]]:
     """Yield, in batches, the rows of voxels along the last axis that are within ``radius`` of each box.
 
-    A batch is the index of the box, and the voxel numbers (one per axis) of the first and the last voxel, for each
-    row.
+    A box leads from corner ``lo`` to corner ``hi``. A batch is, for each row, the index of the box, and the numbers
+    of the first and of the last voxel (a number per axis).
     """
     # A voxel is within the radius r of a box if its gaps from the box along the axes have a sum of squares below r^2.
     # The gaps along all axes but the last depend on the row alone. They leave a reach along the last axis.
@@ -88,9 +88,9 @@ def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordi
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Return whether a ball hits no blocked voxel on each straight motion of its center, up to rounding.
+    """Return whether each straight motion of a ball, with its center from ``q0`` to ``q1``, hits no blocked voxel.
 
-    Touching is allowed.
+    The result is exact up to rounding errors. Touching is allowed.
     """
     return _in_batches(lambda a, b: _ball_keeps_clear(grid, a, b, radius), q0, q1)
 
@@ -129,7 +129,8 @@ def _blocked_voxels_within(
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers]]:
     """Yield, in batches, the pairs of a box and a blocked voxel that are within ``radius`` of each other.
 
-    A batch is the index of the box, and the numbers of the voxel (one per axis), for each pair.
+    A box leads from corner ``lo`` to corner ``hi``. A batch is, for each pair, the index of the box, and the numbers
+    of the voxel (a number per axis).
     """
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         row = np.flatnonzero(grid.num_blocked(begin, end))
@@ -169,7 +170,10 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
 
 
 def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
-    """Return whether a point enters no blocked voxel on each straight motion; touching is allowed."""
+    """Return whether each straight motion of a point, from ``q0`` to ``q1``, enters no blocked voxel.
+
+    Touching is allowed.
+    """
     return _in_batches(lambda a, b: _Traversal(grid, a, b).passes(), q0, q1)
 
 

@@ -158,7 +158,7 @@ class MotionTest:
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
-        """Return which pieces of motions keep clear of the walls near their cells."""
+        """Return which pieces of motions of a robot, larger than a point, hit no wall near the piece's cell."""
         robot, tolerance = self.robot, self.workspace.tolerance
         clear = np.ones(len(cell), dtype=bool)
         # 1. List the pairs of a piece and an edge near its cell, and compute the distance from the path of the

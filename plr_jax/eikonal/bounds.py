@@ -141,12 +141,12 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[is_known].mean()) if is_known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bound the cost-to-go minus a multilinear function, from below and above, in each box.
+        """Bound the cost-to-go minus a function that is multilinear in boxes, from below and above, in each box.
 
-        Box ``i`` lies in mesh cell ``cell[i]``, which must not be blocked. Its lower and upper corner, ``lo[i]`` and
-        ``hi[i]``, are local coordinates of this cell, from 0 to 1. ``corners[i]`` are the function's values at all
-        corners of the box. The bounds also hold at points slightly outside of the box, which rounding may assign to
-        it. An upper bound is ``inf`` if some free point of the box has no known path.
+        Box ``i`` lies in mesh cell ``cell[i]``, which must not be blocked. The lower and upper corner of the box,
+        ``lo[i]`` and ``hi[i]``, are local coordinates of this cell, from 0 to 1. ``corners[i]`` are the function's
+        values at all corners of the box. The bounds also hold at points slightly outside of the box, which rounding
+        may assign to the box. An upper bound is ``inf`` if some free point of the box has no known path to a goal.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))

@@ -65,7 +65,10 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Return a PLR of at most ``max_bytes`` bytes, fitted to an estimate, with the bounds of ``field`` if given."""
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to an estimate at random samples.
+
+    If ``field`` is given, the PLR has the field's proven bounds. ``seed`` is the seed of the samples.
+    """
     # 1. Limits of the leaves: the proof and the goals take a part of the file.
     straight = None if field is None else _straight_bound_of(field, max_bytes)
     num_other_bytes = frame_size(estimate.mesh.domain) + (0 if straight is None else straight.num_bytes)
@@ -181,7 +184,8 @@ def straight_bound(
     ``goals`` are fractions of the domain, and ``least_rate`` is the least cost of a motion whose norm is 1.
 
     The bound is 0 everywhere if there are more than 64 goals, or if the goals take more than 40 % of ``max_bytes``.
-    It is also 0 if squares of costs overflow or vanish in 32 bits. If squares of lengths do, the result is None.
+    It is also 0 if squares of costs overflow or vanish in 32 bits. If squares of lengths overflow or vanish in 32
+    bits, the result is None.
     """
     # A query computes, in 32 bits, the least over goals g of
     #   sum over blocks of rate * |(x - g)[axes of the block]|  -  margin.
@@ -220,8 +224,9 @@ def _above_voxel_paths(
 ) -> Float[np.ndarray, " leaves"]:
     """Return an upper bound of (cost-to-go - leaf function) in each leaf, from paths along the centers of voxels.
 
-    The bound is ``inf`` if no path leads to a goal from some free voxel that the leaf overlaps. All bounds are
-    ``inf`` if the space has a radius, more than 2**24 voxels, or not three axes.
+    ``cells`` are the leaves, and ``coefficients`` the values of each leaf function at the corners of its leaf. The
+    bound is ``inf`` if the leaf overlaps a free voxel without a path to a goal. All bounds are ``inf`` if the space
+    has a radius, more than 2**24 voxels, or not three axes.
     """
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
     # Let p be c clipped to the leaf's box. Along each axis, p lies between c and x: |x - p| <= |x - c| <= side / 2.

@@ -264,7 +264,8 @@ def _grid(
 
     Nodes are the centers of grid cells. The grid follows the voxels of the space, or else the cells of a raster of
     costs: each voxel or raster cell is divided into an odd number of grid cells along each axis. If there are too
-    many voxels or raster cells, each grid cell instead joins an odd number of them along each axis.
+    many voxels or raster cells, each grid cell instead joins an odd number of them along each axis. ``is_isotropic``
+    says whether motions cost the same in every direction.
 
     If there are neither voxels nor raster cells to follow, the outermost nodes lie on the faces of the domain. The
     grid step is then a round decimal if that fits, since walls often have round coordinates.
@@ -391,9 +392,9 @@ def _stencil_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return the cost of each node's shortest path to a goal along edges of the grid, and the goal's index.
+    """Return the cost of each node's shortest path to a goal along edges between nodes, and the goal's index.
 
-    If there is no path, the cost is ``inf`` and the index is -1.
+    Edges are up to three grid steps long along an axis. If there is no path, the cost is ``inf`` and the index is -1.
     """
     # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.

@@ -53,8 +53,8 @@ def carried_goals(
 ) -> GoalIndex:
     """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 
-    ``cost`` is the cost-to-go of each node. ``known_goal`` is the index of the goal of the nodes for which it is
-    known, and -1 for the others. ``side`` is the grid step along each axis.
+    ``cost`` is the cost-to-go of each node. ``known_goal`` is the result for nodes where it is already known, and -1
+    for other nodes. ``side`` is the grid step along each axis.
     """
     # 1. Nodes by ascending cost: `rank` is a node's place in this order. A path divides among the cheapest neighbors
     #    along each axis, by weights: the fall of the cost over the squared step. So it leads to smaller ranks.

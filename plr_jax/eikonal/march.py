@@ -61,8 +61,9 @@ def marched(
 ) -> Costs:
     """Return the costs-to-go of grid nodes, by fast marching from the nodes where ``start`` is at most ``level``.
 
-    ``start`` is the known cost of each node, ``inf`` where unknown. ``slowness`` is the cost per unit of length at
-    each node, and ``side`` the grid step along each axis. Nodes that cannot be reached have the cost ``inf``.
+    ``start`` is the known cost-to-go of each node, ``inf`` where unknown. ``is_open`` marks the nodes that paths may
+    pass. ``slowness`` is the cost per unit of length at each node, and ``side`` the grid step along each axis. Nodes
+    that cannot be reached have the cost ``inf``.
     """
     # 1. The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
     is_core = start <= level
@@ -102,10 +103,11 @@ def marched(
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
     """Return whether the coarse grid of every second node has the same walls as the grid, and no jumps of the costs.
 
-    The grid must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are
-    neighbors along an axis. If both are open, the node between them must be open too, and their costs, ``factor``,
-    must be similar. If one of the two nodes is closed, the other node must be closed or lie on a wall: ``is_clear``
-    marks the open nodes that lie on no wall.
+    The grid must have an odd number of nodes along each axis, else the result is False. ``is_open`` marks the nodes
+    that paths may pass; the other nodes are closed. Consider two nodes of the coarse grid that are neighbors along an
+    axis. If both are open, the node between them must be open too, and the costs ``factor`` of the two must be
+    similar. If one of the two is closed, the other must be closed or lie on a wall. ``is_clear`` marks the open nodes
+    that lie on no wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False

@@ -47,7 +47,7 @@ class NodePaths:
 
     @property
     def ends(self) -> Nodes:
-        """The goal at the end of each node's path, as a row of ``points``; the first goal if a node has no path."""
+        """The index in ``points`` of the goal at the end of each node's path; the first goal if there is no path."""
         ends = self.next
         while (ends != ends[ends]).any():
             ends = ends[ends]
@@ -122,7 +122,10 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges_to(self, goal: int, space: ConfigurationSpace) -> Edges:
-        """Return edges from the nodes nearest to a goal whose cell is not free; the space proves each motion free."""
+        """Return edges from nearby nodes (corners of cells) to a goal whose cell is not free.
+
+        The ``space`` proves that the motion along each edge is free. ``goal`` is the goal's index in ``points``.
+        """
         num, motion_cost, cost_map = len(self.mesh.nodes), self.costs.motion_cost, self.costs.cost_map
         change = self._changes(np.arange(num), np.full(num, goal))
         most = max(_MOST_NEAR_GOALS // len(self.goals), _LEAST_NEAR_GOAL)

@@ -90,7 +90,10 @@ class CellCosts:
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
-    """Bound the cost of motions in each cell of a mesh, by constants and, without pulls, by linear functions."""
+    """Bound the cost of motions in each cell of a mesh.
+
+    The bounds are constant in each cell and, unless costs depend on the direction, also linear in each cell.
+    """
     # Let x be a position relative to the cell's middle, from -1/2 to 1/2 along each axis, and x_j the middle of part
     # j of the cell, in which lower_j and upper_j bound the factor. Along each axis,
     #   slope = sum over j of x_j * (lower_j + upper_j) / 2 / sum over j of x_j**2,     the least-squares fit.
@@ -290,7 +293,10 @@ class SlopeProgram:
         return self.space.mesh.locate(self.at)
 
     def below_goals(self, u: Dofs) -> Dofs:
-        """Shift a function by a constant so that its largest value at a goal is 0."""
+        """Add a constant to a function so that its largest value at a goal is 0.
+
+        ``u`` and the result are the function's values at the degrees of freedom.
+        """
         return u - np.max(self.goal @ u)
 
     @cached_property
@@ -398,8 +404,9 @@ class _Splitting:
         z = the vectors of the sets that are nearest to v
         y = v - z
 
-    With one goal, ``load . u`` is the integral of ``u - u(goal)``. With several goals, values at goals must be at
-    most 0: they have projections and multipliers too, with the penalty ``stiffness``.
+    With one goal, ``load . u`` is the integral of ``u - u(goal)``. With several goals, ``load . u`` is the integral
+    of ``u``, and the values of ``u`` at goals must be at most 0. These values then have vectors ``z`` and ``y`` of
+    their own, with the penalty ``stiffness``.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):

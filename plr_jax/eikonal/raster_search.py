@@ -119,9 +119,10 @@ def search_finely(
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
     """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
 
-    A function is a lower bound if it is at most 0 at the sources and nowhere steeper than the cost of the cell. Begin
-    with the costs of known paths from centers and corners, interpolated linearly in the four triangles around each
-    center. Repeated projections make this function less steep, and a final rescaling makes it a lower bound.
+    A function is a lower bound if it is at most 0 at the sources, and nowhere steeper than the ``cost`` per length of
+    the cell. Begin with the costs of known paths, ``at_centers`` and ``at_corners`` of cells, interpolated linearly
+    in the four triangles around each center. Repeated projections make this function less steep, and a final
+    rescaling makes it a lower bound.
     """
     #   3-------2    1. The triangles of a cell, one at each side. Triangle k has the side from corner k to the next
     #   | \ 2 / |       corner, along an axis, and the center m. The corners k of all cells are the part places[k] of

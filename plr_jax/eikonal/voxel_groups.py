@@ -124,11 +124,11 @@ class VoxelGroups:
         return cost, self._costs_across_faces(cost, slowness)[1]
 
     def _costs_across_faces(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        """Return, for each group, the least cost of its part and of all its voxels, among voxels of unknown cost.
+        """Return two costs-to-go for each group: the least cost of a voxel in its part, and of any of its voxels.
 
-        The cost of a voxel is known if the voxel belongs to a part with a finite ``cost``. Paths begin at voxels of
-        known cost, and lead across faces through free voxels of unknown cost. A cost is ``inf`` if no path leads
-        there, or if all costs are known.
+        Only voxels of unknown cost count; if there are none with a path, the cost is ``inf``. A voxel's cost is known
+        if the voxel belongs to a group's *part* (the voxels for which the group's node stands) and the node has a
+        finite ``cost``. Paths lead from voxels of known cost across faces through free voxels of unknown cost.
         """
         # 1. The voxels of unknown cost.
         dim, size, shape = self.free.ndim, self.size, np.array(self.free.shape)

@@ -82,7 +82,8 @@ class Boundary:
         If ``within`` is None, no point is left out.
 
         Returns:
-            For each projected point, its index in ``x``, the index of its nearest edge, and the nearest point on it.
+            For each projected point, its index in ``x``, the index of its nearest edge, and the nearest point on the
+            edge.
         """
         points: Any = shapely.points(x)
         point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)

@@ -31,7 +31,7 @@ class Box:
     """A closed axis-aligned box ``[lo, hi]``. Its width along every axis must be positive, else ``ValueError``.
 
     Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*. Both
-    ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
+    ends of such an axis are the same place, the *seam*, and every finite coordinate lies in the box.
 
     Args:
         lo: Lower corner, ``(dim,)``, finite.
@@ -194,7 +194,7 @@ class Box:
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
         """Return the centers, ``(rows, columns, 2)``, of nearly square cells that fill a 2-D box, lowest row first.
 
-        The longer side of the box has ``resolution`` cells; the shorter side has fewer, but at least one.
+        The longer side of the box has ``resolution`` cells; the shorter side has at most as many, but at least one.
         """
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
@@ -234,7 +234,7 @@ class Slice:
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
-        """Return a slice of the box ``domain``; ``at`` maps each fixed axis to its coordinate, and two axes vary."""
+        """Return a slice of the box ``domain``: ``at`` maps each fixed axis to its coordinate, the other two vary."""
         at = {} if at is None else at
         are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
         if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):

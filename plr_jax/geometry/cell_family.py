@@ -138,7 +138,10 @@ class FamilyCells:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
-        """Cut free space into convex pieces, box by box; a box that no wall reaches into is one piece."""
+        """Cut the free space in each box from ``lo[i]`` to ``hi[i]`` into convex pieces.
+
+        A box that no wall reaches into is one piece.
+        """
         # 1. Cut all triangles into parts, sorted by box: the triangle of part ``i`` is ``part[i]``.
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)

@@ -272,7 +272,7 @@ class CellSources:
         return self.sight.shadows.table.sees(self.sight.view[source], points)
 
     def pieces_as_cells(self, rows: Int[np.ndarray, " some"]) -> Self:
-        """Return only the pieces with the indices ``rows``, each as a cell of its own."""
+        """Return an object with only the pieces ``rows`` (indices), each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
@@ -284,12 +284,12 @@ class CellSources:
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, " some"]) -> Self:
-        """Return only the cells with the indices ``cells``, in this order; they get the new indices 0, 1, ..."""
+        """Return an object with only the cells ``cells`` (indices), in this order; their new indices are 0, 1, ..."""
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, " some"]) -> Self:
-        """Return only the pieces with the indices ``rows``, in this order.
+        """Return an object with only the pieces ``rows`` (indices), in this order.
 
         If ``cell`` is then no longer ascending, the caller must renumber the cells.
         """
@@ -300,7 +300,7 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, " some"] | Bool[np.ndarray, " pairs"]) -> Self:
-        """Return all pieces, but only those pairs of a piece and a source that ``pairs`` selects.
+        """Return an object with all pieces, but only those pairs of a piece and a source that ``pairs`` selects.
 
         ``pairs`` are indices, or a boolean for each pair.
         """
@@ -341,8 +341,8 @@ class CellSources:
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
         """Merge the pieces of each cell without walls into one piece, the cell's box, and drop pieces without area.
 
-        Then call :meth:`prune_sources` for merged pieces and for ``changed`` pieces. Cell ``i`` is the box from
-        ``lo[i]`` to ``hi[i]``.
+        Then call :meth:`prune_sources` for merged pieces and for ``changed`` pieces (a boolean for each piece). Cell
+        ``i`` is the box from ``lo[i]`` to ``hi[i]``.
         """
         # 1. Find the walls of cells with several pieces. All these pieces are parts of triangles (`triangle` >= 0),
         #    and walls in the cell are sides of these triangles. Wall ``i`` belongs to cell ``cells[index[i]]``.
@@ -382,9 +382,9 @@ class CellSources:
         return merged.of_pieces(kept).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop sources of changed pieces that no point of the piece sees, or at which no path from the piece turns.
+        """Drop a source of a changed piece if no point of the piece sees it, or no path from the piece turns there.
 
-        ``changed`` says which pieces changed. If there is a goal, also call :meth:`prune_dominated`.
+        ``changed`` has a boolean for each piece. If there is a goal, also call :meth:`prune_dominated`.
         """
         # 1. Compute the centers of changed pieces. A path straight to the old center bounds the distance of the new.
         has_goal = self.sight.has_goal

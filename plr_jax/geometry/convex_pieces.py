@@ -1,9 +1,8 @@
 """Arrays of convex polygons (*pieces*): clipping, areas, and extremes of differences of distance functions on them.
 
 Coordinates are stored as ``(2, pieces, corners)``, with corners counterclockwise. Pieces with fewer corners repeat
-their last corner.
-A *cone* is the function ``offset + |x - apex|``: the length of a path from ``x`` straight to ``apex``, and on from
-there by a path of length ``offset``.
+their last corner. A *cone* is the function ``offset + |x - apex|``: the length of a path from ``x`` straight to
+``apex``, and on from there by a path of length ``offset``.
 """
 
 from typing import TypeAlias
@@ -27,7 +26,7 @@ ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clippi
 def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
     """Return the part of each convex polygon where a linear function is at least 0.
 
-    Its values at the corners are ``height``; for each polygon, the largest of them must be at least 0.
+    The function's values at the corners are ``height``; for each polygon, the largest value must be at least 0.
     """
     # 1. Column 2 k of a row stands for corner k, and column 2 k + 1 for the point where the function is 0 on the edge
     #    from corner k to the next one. Keep corners inside, but no repeated ones, and the points on edges that cross.

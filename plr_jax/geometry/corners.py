@@ -115,7 +115,7 @@ def mutually_visible_pairs(
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, " vertices"]:
-    """Return the index in ``views`` of the corner at each boundary vertex; -1 if the vertex is no such corner.
+    """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn at the vertex.
 
     ``views`` are the corners at which paths can turn.
     """
@@ -190,8 +190,8 @@ def find_turn_points(
 ) -> TurnPoints:
     """Return the corners at which shortest paths to a goal may turn first.
 
-    ``vertices`` are the goals, then all corners. ``distances`` are the distances from vertices to the nearest goal,
-    and ``parents`` the indices of the next vertex on the path there.
+    ``vertices`` are the ``num_goals`` goals, then all corners. ``distances`` are the distances from vertices to the
+    nearest goal, and ``parents`` the index of the next vertex on each shortest path to a goal.
     """
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     #
@@ -228,7 +228,7 @@ def find_turn_points(
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """The corners where paths to a goal may turn first, listed for each triangle of free space."""
+    """Lists, one for each triangle of free space, of the corners where paths from there to a goal may turn first."""
 
     turns: TurnPoints
     triangulation: Triangulation

@@ -179,8 +179,8 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
     """Return, for each station, the index of the farthest later station to which a straight link is allowed.
 
     Stations are the points of the exact outlines at which simplified outlines may bend. A link is a segment that
-    replaces the outline between two stations. It is allowed if all corners of the outline between them are within
-    ``tolerance`` pixels of the link, and none is a contact (where diagonal free pixels touch).
+    replaces the outline between two stations. It is allowed if all corners of the outline between the two stations
+    are within ``tolerance`` pixels of the link, and none is a contact (where diagonal free pixels touch).
     """
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
@@ -398,7 +398,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, " n"]) -> list[list[int]]:
-    """Split a ring of ``points`` into loops at contacts, which are points that it passes twice.
+    """Split a ring of ``points`` into loops at contacts: points that the ring passes twice.
 
     Return the indices of each loop's points.
     """
