@@ -1,7 +1,7 @@
 """Checks of the arguments of public functions, and small helpers for NumPy arrays: ragged arrays, padding, hashes.
 
-A function ``as_...`` checks a value, and returns it in the stated type. For a bad value, it raises a ``ValueError``
-whose message calls the value ``name``. NaN and infinity are accepted, and float64 arrays are returned without a copy,
+A function ``as_...`` checks a value, and returns it in the stated type. A bad value raises a ``ValueError``; the
+message calls the value ``name``. NaN and infinity are accepted, and float64 arrays are returned without a copy,
 unless stated otherwise.
 """
 
@@ -174,7 +174,7 @@ def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
     """Check the distances ``value`` that a function called ``name`` returned for points ``x``.
 
-    The conditions and the result are those of :func:`as_values`; also, no distance may be NaN or ``-inf``.
+    Check and return them like :func:`as_values`. In addition, no distance may be NaN or ``-inf``.
     """
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))

@@ -126,7 +126,7 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Colum
 def broadcast_shape(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
     """Return the shape to which two arrays broadcast.
 
-    If they do not broadcast, raise a ``ValueError`` whose message begins with ``names``, such as "x and y".
+    If the arrays do not broadcast, raise a ``ValueError``; its message begins with ``names``, such as "x and y".
     """
     try:
         return jnp.broadcast_shapes(x.shape, y.shape)

@@ -38,8 +38,8 @@ class Descent:
         status: The :class:`DescentStatus` of each start, ``(n,)``.
         vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal. Copies of the goal fill up
             shorter paths. All vertices are NaN if there is no path. Along periodic axes, segments go the shorter way.
-        counts: Number of vertices of each path, ``(n,)``, without the copies of the goal. It is 1 if the start is the
-            goal, and 0 if there is no path.
+        counts: Number of vertices of each path, ``(n,)``, without the copies of the goal: 1 if the start is the goal,
+            0 if there is no path.
         lengths: Length of each path, ``(n,)``: in workspace units, or for other spaces by their ``motion_cost``. The
             length is ``inf`` if there is no path.
         costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length; ``inf`` if there is
@@ -92,15 +92,15 @@ def descend(
 
     Args:
         distance_fn: The cost-to-go: a function of points ``(n, dim)`` that returns costs ``(n,)``, NumPy or JAX, in
-            units of the motion cost; ``inf`` where unknown. It is called with points in the domain, with periodic
-            axes wrapped.
+            units of the motion cost; ``inf`` where unknown. The function is called with points in the space's domain,
+            with periodic axes wrapped.
         space: The free space. A Workspace is the free space of a point robot; for a disc, pass the inflated
             workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in free space or on its boundary. If costs are lengths in a workspace, there may
             be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found.
-        cost_map: Factor of the motion cost at each point, the same map for which ``distance_fn`` was computed. None:
-            the factor is 1 everywhere.
+        cost_map: Factor of the motion cost at each point: the map for which ``distance_fn`` was computed. None: the
+            factor is 1 everywhere.
 
     Returns:
         Status, path, length and cost for each start. With a cost map, costs are integrated to about 0.1 % or better;

@@ -293,12 +293,12 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
-        """Return a path from a local minimum ``x`` to a point where the field is less than ``below``.
+        """Return a path from a local minimum ``x`` of the cost-to-go to a point where it is less than ``below``.
 
         The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
-        one path from the cell's center, so that no path depends on the other starts. This path is used if the
-        straight motion from ``x`` to the center is free and the path falls below ``below``; else the search begins at
-        ``x``.
+        one path from the cell's center, so that the path from one start does not depend on other starts. The shared
+        path is used if the straight motion from ``x`` to the center is free, and the path falls below ``below``. Else
+        the search begins at ``x``.
         """
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width
@@ -314,7 +314,7 @@ class _Lookahead:
         return self._search_below(x, below)
 
     def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
-        """Search best first for a path from ``x`` to a point where the field is less than ``below``.
+        """Search best first for a path from ``x`` to a point where the cost-to-go is less than ``below``.
 
         Return the nodes of the path after ``x``, or None if the search fails. The search visits at most one node per
         grid cell.

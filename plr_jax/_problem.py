@@ -142,8 +142,8 @@ def require_problem(problem: object, path: object = None) -> None:
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
     """Check a path, and return it as a float64 array ``(steps, robots, dof)``.
 
-    If the path has 32-bit floats, robots whose first or last configuration equals the problem's start or goal up to
-    rounding get exactly this start or goal.
+    If the path has 32-bit floats, a robot's first configuration is replaced by its start if both are equal up to
+    rounding, and its last configuration by its goal.
     """
     require_problem(problem, path)
     if path is None:

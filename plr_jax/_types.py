@@ -198,5 +198,5 @@ class HeuristicFn(Protocol):
     def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's term of the sum; it depends only on the configuration of this robot."""
+        """Return each robot's term of the sum. The term depends only on the configuration of this robot."""
         ...

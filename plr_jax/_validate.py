@@ -38,9 +38,9 @@ class ValidationReport:
         valid: Whether the path solves the problem.
         cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite, or has a
             wrong shape.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
-            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. If the path has a
-            collision, the clearance is about minus the depth of the first overlap.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. The clearance has an
+            error of at most 1e-7 of the workspace's extent, or twice the workspace's ``tolerance`` if that is more.
+            If the path has a collision, the clearance is about minus the depth of the first overlap.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter of the way from row 3 of the path to row 4.
@@ -59,13 +59,14 @@ class ValidationReport:
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     """Check whether a path, from any planner, solves a problem.
 
-    The path, joint configurations ``(steps, robots, dof)``, must be finite. It must begin at the starts and end at
-    the goals exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles, the
-    bounds and one another during all motions; touching is allowed. Motions are straight, at constant rates, and turn
-    the shorter way; a half turn is counterclockwise.
+    The path, joint configurations ``(steps, robots, dof)``, must be finite. The path must begin at the starts and end
+    at the goals exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles,
+    the bounds and one another during all motions; touching is allowed. Motions are straight, at constant rates, and
+    turn the shorter way; a half turn is counterclockwise.
 
     A point robot may be outside of free space by twice the workspace's ``tolerance``; if the path has 32-bit floats,
-    also by the rounding of its coordinates. It may not cross a wall of ``Workspace.free_space``, however thin.
+    also by the rounding of its coordinates. A point robot may not cross a wall of ``Workspace.free_space``, however
+    thin.
 
     An invalid path is reported, and raises no error. ``ValueError`` is raised if ``problem`` is not a Problem, or
     ``path`` is a Solution instead of its path.

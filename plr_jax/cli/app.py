@@ -14,7 +14,7 @@ from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
 
 
 class _Commands(TyperGroup):
-    """The group of all subcommands. It prints each error or warning as one line, and equal warnings only once."""
+    """The group of all subcommands, which prints each error or warning as one line, and equal warnings only once."""
 
     def invoke(self, ctx: Any) -> Any:
         shown: set[str] = set()

@@ -190,7 +190,7 @@ def export(
         bool, typer.Option("--compact", help="Write a header for small machines: less memory, slower.")
     ] = False,
 ) -> None:
-    """Write a file as code without dependencies, whose answers equal those of query, bit for bit.
+    """Write a file as code without dependencies. The code's answers equal those of the command query, bit for bit.
 
     Pairs (a file of distances between any two points) become the distance to one goal, or, in JavaScript without a
     goal, the distance between any two points. Pairs of cells of a grid become a header that gives the number of steps

@@ -103,7 +103,7 @@ def read_map_of_file(
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
     """Return the workspace and the goals of the map from which a PLR's file was built; None where they are unknown.
 
-    ``content`` is the PLR in the file, whose label names the map, its goals and options. If ``map`` is given, it
+    ``content`` is the PLR in the file; its label names the map, the goals and the options. If ``map`` is given, it
     replaces the map's name. Otherwise, a map that does not exist under its name is searched for in the folder of the
     file. If the map cannot be read, ``ValueError`` is raised if ``map`` is given or ``is_needed``; else a warning is
     printed, and the workspace is None.

@@ -120,7 +120,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
 def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
     """Return the unit vector normal to the velocity of each body of ``b`` relative to the body of ``a``.
 
-    It is ``(0, 1)`` if this velocity is 0.
+    If this velocity is 0, return ``(0, 1)``.
     """
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)

@@ -94,7 +94,8 @@ class TeamTrajectory:
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
     """Return the indices ``i`` for which two robots may meet if each stays in its i-th circle.
 
-    The circles for the reference point of ``robot_a`` are ``around_a``, those for ``robot_b`` are ``around_b``.
+    The reference point of ``robot_a`` stays in circles of ``around_a``, the reference point of ``robot_b`` in circles
+    of ``around_b``.
     """
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)

@@ -183,9 +183,9 @@ def straight_bound(
 
     ``goals`` are fractions of the domain, and ``least_rate`` is the least cost of a motion whose norm is 1.
 
-    The bound is 0 everywhere if there are more than 64 goals, or if the goals take more than 40 % of ``max_bytes``.
-    It is also 0 if squares of costs overflow or vanish in 32 bits. If squares of lengths overflow or vanish in 32
-    bits, the result is None.
+    The bound is 0 everywhere if there are more than 64 goals, if the goals take more than 40 % of ``max_bytes``, or
+    if squares of costs overflow or vanish in 32 bits. If squares of lengths overflow or vanish in 32 bits, the result
+    is None.
     """
     # A query computes, in 32 bits, the least over goals g of
     #   sum over blocks of rate * |(x - g)[axes of the block]|  -  margin.

@@ -35,7 +35,7 @@ def balls(
 ) -> tuple[Costs, float]:
     """Return the costs-to-go of grid nodes near goals, and the cost at which fast marching starts.
 
-    The costs are those of straight motions; nodes farther away have ``inf``.
+    The costs-to-go are costs of straight motions to a goal; nodes farther away have ``inf``.
     """
     # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
     #    nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes

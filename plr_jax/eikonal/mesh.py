@@ -165,8 +165,8 @@ class Mesh:
 
         Returns:
             The lower and the upper corner of each box as a part of ``cell``, in fractions of the domain. Also the
-            shift, in periods along each axis, that moves the box into ``other``. It is not 0 if the cells touch
-            across the seam of a periodic axis:
+            shift, in periods along each axis, that moves the box into ``other``. The shift is not 0 if the cells
+            touch across the seam of a periodic axis:
 
                 0                       1
                 | other |  ...   | cell |         shift -1: the box at 1, in `cell`, is at 0 in `other`

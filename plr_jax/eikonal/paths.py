@@ -1,9 +1,9 @@
 """Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
 Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then paths are
-straightened: a path skips a node, or continues at the next node of a neighbor's path. Both require that the new
-straight motion stays in free cells, and that the path becomes cheaper. If a goal's cell is not free, motions that the
-space proves free join the goal to nearby nodes. Reference: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path
+straightened: a path skips a node, or continues at the next node of a neighbor's path. Such a change requires that the
+new straight motion stays in free cells, and that the path becomes cheaper. If a goal's cell is not free, motions that
+the space proves free join the goal to nearby nodes. Reference: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path
 planning on grids", 2007.
 """
 

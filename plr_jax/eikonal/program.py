@@ -1,10 +1,14 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
-A function is a lower bound under three conditions. It is at most 0 at the goals. It is continuous across every face
-that is not proven blocked. Along every motion, it rises by no more than the motion costs. The alternating
-direction method of multipliers maximizes the function's integral; the multipliers are a flow along cheapest paths.
-Finally, the values are rescaled so that they satisfy the constraints, rounding included. So the bound is proven after
-any number of iterations.
+A function is a lower bound under three conditions:
+
+- The function is at most 0 at the goals.
+- The function is continuous across every face that is not proven blocked.
+- Along every motion, the function rises by no more than the motion costs.
+
+The alternating direction method of multipliers maximizes the function's integral; the multipliers are a flow along
+cheapest paths. Finally, the values are rescaled so that they satisfy the conditions, rounding included. So the bound
+is proven after any number of iterations.
 
 :class:`CellCosts` bounds the costs of motions, and :class:`SlopeSets` derives the sets in which gradients must lie.
 :class:`SlopeProgram` is the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system that
@@ -395,9 +399,9 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
-    It maximizes the integral ``load . u`` over degrees of freedom ``u`` whose gradients ``G u`` lie in convex sets.
-    The vectors ``z`` in these sets approach ``G u``, and ``y`` are scaled multipliers: the flow is ``penalty * y``.
-    With the over-relaxation ``a``, a step is::
+    The method maximizes the integral ``load . u`` over degrees of freedom ``u``. The gradients ``G u`` must lie in
+    convex sets. The vectors ``z`` in these sets approach ``G u``, and ``y`` are scaled multipliers: the flow is
+    ``penalty * y``. With the over-relaxation ``a``, a step is::
 
         u = argmin  sum(volume * penalty * |G u - z + y|**2) / 2 - load . u      (a Poisson equation)
         v = a * G u + (1 - a) * z + y

@@ -100,11 +100,11 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Divide each cell into ``parts`` (rows, columns) of equal parts, and search for paths from all parts to sources.
+    """Divide each cell into ``parts[0]`` rows and ``parts[1]`` columns of parts, and search for paths from all parts.
 
-    Return a list of rasters with one entry per cell, and the paths. The rasters are the costs of paths, the indices
-    of the sources that paths lead to and, if ``bounds``, lower and upper bounds of the least cost. Entries are those
-    of the middle part of each cell. The sources are ``points``; ``side`` is the width and height of a cell.
+    Paths lead to the nearest of the sources ``points``. Return a list of rasters with one entry per cell, that of the
+    cell's middle part, and the paths. The rasters are the costs of paths, the indices of the sources that paths lead
+    to and, if ``bounds``, lower and upper bounds of the least cost. ``side`` is the width and height of a cell.
     """
     fine = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1)
     part_side = side / parts[::-1]
@@ -387,9 +387,9 @@ def _mean_factor(
 ) -> np.ndarray:
     """Return, for each cell, the mean of ``slope_fn`` along the motion between it and the cell at offset ``(i, j)``.
 
-    The motion leads to the cell at the offset if ``from_sources``, else from there back. It is cut into as many equal
-    parts as it has cells along its longer axis, and ``slope_fn`` is called with the slope of each part. ``length`` is
-    the motion's length; ``height_at`` returns the heights at an offset from all cells.
+    The motion leads to the cell at the offset if ``from_sources``, else from there back. The motion is cut into
+    ``max(abs(i), abs(j))`` equal parts, and ``slope_fn`` is called with the slope of each part. ``length`` is the
+    motion's length; ``height_at`` returns the heights at an offset from all cells.
     """
     # At the ends of parts, the place along the longer axis is whole. Along the other axis it is between two cells, i0
     # or j0 and the next one: interpolate their heights.
@@ -409,9 +409,9 @@ def _mean_factor(
 def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
 
-    Each motion goes by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell
-    (``half`` is 1) or in the cell's lower corner (``half`` is 0). For an offset in rows and columns, ``cost_at``
-    returns the costs of the cells that lie at this offset from the cells where motions begin.
+    Each motion goes by ``i`` half cells across rows and by ``j`` half cells across columns. All motions begin in the
+    center of a cell (``half`` is 1) or in its lower corner (``half`` is 0). For an offset in rows and columns,
+    ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin.
     """
     # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which goes from
     #    `half` to `half + change` in half cells, is even. The middle of each piece, in cells, tells its cell.

@@ -34,12 +34,12 @@ class CostDistance:
     Attributes:
         distance: Cost distance from the center of each cell to the nearest source; ``inf`` where no source can be
             reached.
-        nearest: Index of the nearest source, or of a source at most about 1 % farther away. It is -1 where no source
-            can be reached; -1 is then the no-data value of a ``DataArray``.
+        nearest: Index of the nearest source, or of a source at most about 1 % farther away. The index is -1 where no
+            source can be reached; -1 is the no-data value if this is a ``DataArray``.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
-            ``distance``, rounded up. In our experiments the two bounds are on average 2 to 4 % of the mean distance
-            apart. They may be up to 100 % of the distance apart near sources, and if costs of neighbors differ by a
-            factor of 100 or more.
+            ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 2 to 4 % of the mean
+            distance. The difference may be up to 100 % of the distance near sources, and if costs of neighbors differ
+            by a factor of 100 or more.
         plr: A PLR of the distance, without bounds; None if not asked for. Its values in barriers are finite. In other
             cells from which no source can be reached, its values are ``inf``, except near cells with a path to a
             source.
@@ -95,23 +95,23 @@ def cost_distance(
         result.distance, result.nearest, result.path((500, 100))
 
     Distances are costs of paths. In our experiments without heights, errors are on average 0.03 to 0.2 % of the mean
-    distance, and the largest error is 2.2 %. With heights, distances differ from those on three times finer rasters
-    by 0.6 % on average.
+    distance, and the largest error is 2.2 %. With heights, distances differ from distances on three times finer
+    rasters by 0.6 % on average.
 
-    The search for paths takes kilobytes of memory a cell. So rasters of more than 2 million cells use fast marching
-    instead, unless bounds or heights are given. It takes about 110 bytes a cell. Its errors are 0.1 to 0.3 % on
-    average where costs change slowly, and 0.5 to 7 % where they jump. A cell that is much longer than wide counts as
-    several cells, as the search divides it into parts that are about square.
+    The search for paths takes kilobytes of memory a cell. So for rasters of more than 2 million cells, fast marching
+    replaces the search, unless bounds or heights are given. Fast marching takes about 110 bytes a cell. The errors of
+    fast marching are 0.1 to 0.3 % on average where costs change slowly, and 0.5 to 7 % where costs jump. A cell that
+    is much longer than wide counts as several cells, as the search divides the cell into parts that are about square.
 
     Args:
         costs: Positive costs per unit of length, ``(rows, columns)``: an array, a masked array or an xarray
             ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With
             heights, costs are factors without a unit. NaN, ``inf``, masked cells and a ``DataArray``'s no-data value
             are barriers. No path passes between two barriers that touch in a corner.
-        sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape, whose cells are numbered
-            as by ``np.argwhere(mask)``. For a ``DataArray``, points are in its coordinates. For an array, row 0 has
-            the lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to ``i + 1``, times
-            ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
+        sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape. Sources of a mask are
+            numbered as by ``np.argwhere(mask)``. If ``costs`` is a ``DataArray``, points are in its coordinates. In
+            an array, row 0 has the lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to
+            ``i + 1``, times ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
         cell_size: Side of a cell, or both sides ``(x, y)``; for arrays only.
         heights: Height of each cell, in the unit of ``cell_size``. With heights, costs depend on the direction of
             travel. Cells without a finite height are barriers.

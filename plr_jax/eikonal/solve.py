@@ -79,7 +79,7 @@ def solve_eikonal(
             without ``max_bytes``, 2,000, or 4,000 in three dimensions.
         max_bytes: Largest size of the file. A certified PLR has one leaf for each cell of a mesh, which is refined
             where bounds are loose. If this takes more than ``max_bytes``, the PLR has fewer, larger leaves instead.
-            Each of them stores the worst bounds of all cells that it overlaps.
+            A larger leaf stores the worst bounds of all cells that it overlaps.
         tolerance: For certified PLRs: refinement stops when the estimated mean of (cost-to-go - lower bound) is at
             most this, in units of cost. None: 0, so that refinement goes on to ``max_leaves`` cells.
         certified: Whether to prove bounds. False is for up to three axes.
@@ -88,8 +88,8 @@ def solve_eikonal(
     Returns:
         The PLR. Its leaves are continuous; they are planes if ``certified=False`` and the cost of motions is a sum of
             norms of several groups of axes, as for a body that turns. ``plr(x)`` is finite at every point with a path
-            to the goal. It may also be finite in obstacles, and at free points without a path that are within 1/64
-            of the domain's width of a point with a path.
+            to the goal. ``plr(x)`` may also be finite in obstacles, and at free points without a path that are within
+            1/64 of the domain's width of a point with a path.
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then has the latest
@@ -399,8 +399,8 @@ class SlopeSolver:
     def mesh_without_mixed(self) -> Mesh:
         """Return a copy of the mesh in which each mixed cell counts as free or as blocked.
 
-        It counts as free if a straight motion through its middle is free. The motion leads from side to side of the
-        cell, along the gradient of the lower bound. The answers are stored in ``_through`` for later calls.
+        A mixed cell counts as free if a straight motion through its middle is free, from side to side of the cell
+        along the gradient of the lower bound. The answers are stored in ``_through`` for later calls.
         """
         mesh = self.mesh
         new = np.flatnonzero((mesh.state == CellState.MIXED) & (self._through == CellState.MIXED))

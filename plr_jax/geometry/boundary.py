@@ -170,7 +170,7 @@ def match_boundary(
 def vertices_near_edges(
     vertices: Vertices, edges: Edges, tolerance: float, some_vertices: VertexRows, some_edges: EdgeRows
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-    """Return the pairs of a vertex and an edge whose distance is at most ``tolerance``, as two arrays of indices.
+    """Return the pairs of a vertex and an edge within ``tolerance`` of each other, as two arrays of indices.
 
     Only the vertices with the indices ``some_vertices`` and the edges with the indices ``some_edges`` are tested. An
     edge and its own ends are no pairs.
@@ -375,8 +375,8 @@ def advice_on_cells(value: object) -> str:
 def as_bounds(value: Box | ArrayLike) -> Box:
     """Check that a value can be the bounds of a workspace, and return it as a Box.
 
-    It must be a 2-D box without periodic axes, and not too large, small, slender or far from the origin for 64-bit
-    coordinates.
+    Bounds must be a 2-D box without periodic axes, and not too large, small, slender or far from the origin for
+    64-bit coordinates.
     """
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")

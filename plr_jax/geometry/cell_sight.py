@@ -2,8 +2,8 @@
 
 The free space in a cell is divided into convex *pieces*. The whole cell is one piece unless a wall reaches into it;
 then the pieces are parts of triangles. The *sources* of a piece are the goal and the corners to which a shortest path
-from the piece may go first. When a cell is cut in two, the new cells inherit pieces and sources. They drop sources
-that no point of the piece sees, and sources at which no path from the piece turns.
+from the piece may go first. When a cell is cut in two, the new cells inherit pieces and sources. A source of a new
+piece is dropped if no point of the piece sees it, or if no path from the piece turns at the source.
 """
 
 from dataclasses import dataclass, replace
@@ -188,8 +188,8 @@ class Sight:
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
         """Return whether shortest paths from some point of polygon ``i`` may turn at ``source[i]``; True for a goal.
 
-        They may if a part of the polygon lies in the source's cone (see :class:`TurnPoints`). If ``from_all``, return
-        whether all of the polygon lies in the cone.
+        Paths may turn there if a part of the polygon lies in the source's cone (see :class:`TurnPoints`). If
+        ``from_all``, return whether all of the polygon lies in the cone.
         """
         # The cone of turn point p is n . x >= n . p for its two normals n. The extremes of n . x are at the piece's
         # corners. Both normals are tested on their own, so a piece that passes may still miss the cone.
@@ -212,7 +212,7 @@ class CellSources:
     they bound the distance from a point ``x`` of a piece to the goal, with an error of at most :attr:`slack`:
 
     - It is at least the minimum of ``distances[s] + |x - points[s]|`` over the piece's sources ``s``.
-    - It is at most the minimum over those sources that are visible from every point of the piece.
+    - It is at most the minimum of this sum over those sources ``s`` that are visible from every point of the piece.
 
     Pieces without a path to the goal are then left out.
     """
@@ -321,8 +321,8 @@ class CellSources:
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
         """Cut cells in two, and return the halves as new cells, with centers, distances and sources.
 
-        New cell ``i`` is the box from ``lo[i]`` to ``hi[i]``. It is the half of cell ``parent[i]`` above a cut
-        perpendicular to ``axis[i]`` if ``is_upper[i]``, else the half below.
+        New cell ``i`` is the box from ``lo[i]`` to ``hi[i]``: the half of cell ``parent[i]`` above a cut
+        perpendicular to ``axis[i]`` if ``is_upper[i]``, else the half below the cut.
         """
         # 1. Compute the signed distances of the corners of pieces from the cut, positive in the part.
         rows, cell = take_ragged(self.first_piece, parent)
@@ -471,8 +471,8 @@ def goal_sight(
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
     """List, for each triangle of free space, the sources to which paths from the triangle may go first.
 
-    These are all goals, with the indices 0, 1, ..., and the corners that ``regions`` lists for the triangle. The
-    result is ``(first, source)``: triangle ``t`` has the sources ``source[first[t] : first[t + 1]]``.
+    The sources are all goals, with the indices 0, 1, ..., and the corners that ``regions`` lists for the triangle.
+    The result is ``(first, source)``: triangle ``t`` has the sources ``source[first[t] : first[t + 1]]``.
     """
     # The goals come before the corners of each triangle, so the list of triangle t begins num_goals * t later.
     first, turns = regions.first, regions.turns.vertex[regions.turn]
@@ -483,7 +483,8 @@ def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
     """Return the :class:`Sight` of all corners, without a goal and distances.
 
-    Each corner is two sources, one for each direction in which paths bend around it: see :func:`turns_by_side`.
+    There are two sources for each corner, one for each direction in which paths bend around the corner: see
+    :func:`turns_by_side`.
     """
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)

@@ -26,7 +26,7 @@ VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points, whose edges have lengths."""
+    """An undirected graph with points as vertices, and edges that have lengths."""
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
@@ -83,9 +83,9 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
 def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2) -> VisiblePaths:
     """Return the first vertices of each point's ``count`` shortest visible paths, and the lengths of these paths.
 
-    The path from point ``i`` whose first vertex is ``k`` has the length ``lengths[i, k]``, or NaN if there is no such
-    path. It is visible if ``sees(i, k)``. If a point has fewer than ``count`` visible paths, the remaining vertices
-    are -1, and the remaining lengths ``inf``.
+    The path from point ``i`` through the first vertex ``k`` has the length ``lengths[i, k]``, or NaN if there is no
+    such path. The path is visible if ``sees(i, k)``. If a point has fewer than ``count`` visible paths, the remaining
+    vertices are -1, and the remaining lengths ``inf``.
 
     Visibility is tested in rounds. The first round tests the ``max(at_once, count)`` shortest paths of each point.
     Each further round tests ``2 * at_once`` times as many paths as the round before.
@@ -144,8 +144,8 @@ def first_visible_ragged(
     """Return, for each point, the index in ``lengths`` of its shortest visible path, and the length of this path.
 
     If a point has no visible path, the index is -1 and the length ``inf``. ``lengths`` has the lengths of
-    ``counts[0]`` paths from the first point, then of ``counts[1]`` paths from the second point, and so on. It must
-    have no NaN, and is modified in place. ``sees(i, k)`` tests whether path ``k`` (an index in ``lengths``) of point
+    ``counts[0]`` paths from the first point, then of ``counts[1]`` paths from the second point, and so on, without
+    NaN. ``lengths`` is modified in place. ``sees(i, k)`` tests whether path ``k`` (an index in ``lengths``) of point
     ``i`` is visible.
     """
     visible_pair, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)

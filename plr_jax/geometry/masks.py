@@ -179,8 +179,8 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
     """Return, for each station, the index of the farthest later station to which a straight link is allowed.
 
     Stations are the points of the exact outlines at which simplified outlines may bend. A link is a segment that
-    replaces the outline between two stations. It is allowed if all corners of the outline between the two stations
-    are within ``tolerance`` pixels of the link, and none is a contact (where diagonal free pixels touch).
+    replaces the outline between two stations. A link is allowed if all corners of the outline between the two
+    stations are within ``tolerance`` pixels of the link, and none is a contact (where diagonal free pixels touch).
     """
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
