@@ -65,7 +65,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Return a PLR of at most ``max_bytes`` bytes, fitted to an estimate at random samples.
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to samples of an estimate.
 
     If ``field`` is given, the PLR has the field's proven bounds. ``seed`` is the seed of the samples.
     """

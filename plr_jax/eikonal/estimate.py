@@ -268,7 +268,8 @@ def _grid(
     says whether motions cost the same in every direction.
 
     If there are neither voxels nor raster cells to follow, the outermost nodes lie on the faces of the domain. The
-    grid step is then a round decimal if that fits, since walls often have round coordinates.
+    grid step is then a round decimal if that fits, since walls often have round coordinates. A raster is not followed
+    if it has another domain than the space, or if its costs are interpolated in the plane.
     """
     domain = space.domain
     most = _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES

@@ -355,9 +355,9 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],  # row and column of each point's cell
     near: Int[np.ndarray, "nodes 2"],  # offsets from the center of that cell, in half cells
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return the costs of straight motions from points to nodes in their cells and in cells beside these.
+    """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
-    A motion through a barrier costs ``inf``.
+    Nodes are centers and corners of cells. A motion through a barrier costs ``inf``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `leaves` are the shares of

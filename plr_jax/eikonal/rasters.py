@@ -29,7 +29,7 @@ def tobler(slope: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
 
 @dataclass(frozen=True, eq=False)
 class CostDistance:
-    """A result of :func:`cost_distance`; arrays have the shape of the raster, and its coordinates if it has some.
+    """A result of :func:`cost_distance`. Arrays have the shape of the raster; they are DataArrays if ``costs`` was.
 
     Attributes:
         distance: Cost distance from the center of each cell to the nearest source; ``inf`` where no source can be

@@ -46,7 +46,8 @@ class VoxelGroups:
     ) -> "VoxelGroups":
         """Group the ``free`` and blocked voxels of a domain.
 
-        ``shape`` is the number of groups along each axis, and ``box`` contains all groups.
+        ``shape`` is the number of groups along each axis, and ``box`` contains all groups. The node of a group that
+        holds one of the ``goals`` stays open.
         """
         # 1. Pad the voxels so that groups fill the box. Find the groups in which all voxels are free, and the groups
         #    in which any voxel is free.

@@ -85,8 +85,8 @@ class Shadows:
         """Test what viewpoints see of convex polygons; return two booleans per polygon, ``(sees_center, is_whole)``.
 
         Viewpoint ``view[i]`` is tested with polygon ``i``, which contains the point ``center[i]``. ``is_whole`` is
-        True if no shadow of the viewpoint crosses the polygon. The viewpoint then sees all of the polygon if it sees
-        the center, else nothing.
+        True if no shadow (see the class) of the viewpoint crosses the polygon. The viewpoint then sees all of the
+        polygon if it sees the center, else nothing.
         """
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         # 1. Find the range of keys strictly inside each piece. Keys of one viewpoint run from 0 to 4,
