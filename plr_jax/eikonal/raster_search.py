@@ -69,9 +69,9 @@ class PathTree:
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the vertices of the path from the center of a cell: both ends, and the points where it turns.
+        """Return the vertices of the path from the center of a cell: both ends, and the points where the path turns.
 
-        If there is no path, the result has no vertices.
+        ``center`` is relative to the raster's lower corner. If there is no path, the result has no vertices.
         """
         rows, columns = self.shape
         first_source = len(self.next_node) - len(self.ends)
@@ -258,7 +258,8 @@ def search(
     """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
     ``side`` is the width and height of a cell. If ``height`` is given, the cost of a motion is multiplied by
-    ``slope_fn(slope)``: the slope of the motion toward the sources, or away from them if ``from_sources``.
+    ``slope_fn(slope)``: the slope (rise over run) of the motion toward the sources, or if ``from_sources`` away from
+    the sources.
 
     Returns:
         The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with

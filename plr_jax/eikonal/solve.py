@@ -232,9 +232,9 @@ def _require_goals(
 
 
 def _error_by_norm(fit: CellFit) -> Float[np.ndarray, " cells"]:
-    """Return the error by which leaves are chosen to be split: the geometric mean of largest error and L2 norm.
+    """Return, for each leaf, the geometric mean of the largest error and the L2 norm of the error.
 
-    Splitting the leaves where it is largest gives the PLR a small mean error.
+    Leaves are split in descending order of this number, so that the mean error of the PLR is small.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
