@@ -220,7 +220,7 @@ def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """Return the unit vector from the first body to the second at their nearest points during the motion.
+    """Return the direction from the first body to the second, as a unit vector, when they are nearest in the motion.
 
     Also return the distances of the two bodies at the begin and at the end of the motion. The bodies must not
     overlap.

@@ -1,7 +1,7 @@
 """Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
 
-With bounds, :class:`SlopeSolver` refines a mesh where the lower bound is loose; paths on the last mesh give the upper
-bound. Without bounds, a PLR is fitted to an estimate on a grid.
+If bounds are asked for, :class:`SlopeSolver` refines a mesh where the lower bound is loose, and paths on the finest
+mesh give the upper bound. Otherwise, a PLR is fitted to an estimate on a grid.
 """
 
 import math
