@@ -206,8 +206,8 @@ class SlopeSets:
     def factors(self, g: Vectors) -> PerControl:
         """Return, for each vector (a column of ``g``), a factor such that vector / factor lies in its convex set.
 
-        A vector whose factor is at most 1 lies in the set itself. Without ``pulls``, the factor is the least
-        possible; with ``pulls``, a factor above 1 may be larger than needed.
+        A vector with a factor of at most 1 lies in the set itself. If ``pulls`` (see the class) is None, the factor
+        is the least possible; otherwise, a factor above 1 may be larger than needed.
         """
         # Without pulls, the factor is the largest |g| / radius over groups of axes. With pulls, let d be the distance
         # of g to the segment, and r the radius of a ball around 0 within the set K: `radius` minus the distance of 0
@@ -222,7 +222,7 @@ class SlopeSets:
     def costs(self, flow: Vectors) -> PerControl:
         """Return lower bounds of the costs of motions by the vectors ``-flow``.
 
-        The bounds are the values of the sets' support functions at the vectors ``flow``.
+        The bounds are the values of the support functions of the convex sets (see the class) at the vectors ``flow``.
         """
         # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|; of a segment,
         # the larger value at its ends -pulls[0] and -pulls[1]; of a sum of sets, the sum of their support functions.

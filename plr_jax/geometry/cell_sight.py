@@ -158,8 +158,8 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
     """List, for each triangle of free space, the turn points that see a part of the triangle within their cone.
 
-    Turn points are those of :func:`turns_by_side`. The result is ``(first, turn)``: triangle ``t`` has the turn
-    points ``turn[first[t] : first[t + 1]]``.
+    A turn point is a corner together with a cone from which paths around the corner come: see :func:`turns_by_side`.
+    The result is ``(first, turn)``: triangle ``t`` has the turn points ``turn[first[t] : first[t + 1]]``.
     """
     visits = []
     right, left = turns_by_side(visibility.corners).bounds
