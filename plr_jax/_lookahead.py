@@ -1,10 +1,10 @@
 """Paths by lookahead: finite steps down a cost-to-go, in any space that can prove that a straight motion is free.
 
-From each node of a path, all free steps in many directions and of several lengths are compared. They are ranked by
-slope: the fall of the cost-to-go per cost of the step. Slopes are at most 1, apart from errors of the cost-to-go.
-Among nearly equal slopes, the longest step wins, so that small dents of the cost-to-go do no harm. A best-first
-search (Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are skipped,
-or shifted to where their two segments cost least.
+At each node of a path, the free steps in many directions and of several lengths are ranked by slope: the decrease of
+the cost-to-go per cost of the step. Slopes are at most 1, apart from errors of the cost-to-go. Among nearly equal
+slopes, the longest step is chosen, so that small local errors of the cost-to-go do no harm. A best-first search
+(Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are skipped, or
+shifted to where the two adjacent segments cost least.
 """
 
 import heapq
@@ -38,8 +38,8 @@ def chains_of(
     """Return the vertices of one path per start, and the number of vertices of each path.
 
     Path ``i`` leads from ``starts[i]`` to the node ``first[i]``, then from each node to the node ``onward[node]``,
-    until a goal. The goals are the first ``num_goals`` nodes. If these indices lead to -1, there is no path, and the
-    number of vertices is 0.
+    until a goal. The goals are the first ``num_goals`` nodes. If this sequence of nodes reaches the index -1, there
+    is no path, and the number of vertices is 0.
     """
     # Follow all paths at once. Paths that have arrived (or have no next node, -1) repeat their last node. A path's
     # vertices are the start, the nodes and the goal; if the start is the goal, it counts once.
@@ -78,9 +78,9 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: over all axes together, and within each block of axes.
+    """Return vectors of motions of cost 1 in many directions: over all axes together, and within each block of axes.
 
-    Blocks of axes are those of :class:`MotionCost`, such as the position alone and the heading alone.
+    A block is a group of axes of the :class:`MotionCost`, such as the position alone or the heading alone.
     """
     # Directions in a plane are evenly spaced. In more dimensions, they are the axes, and normally distributed points
     # divided by their norms, each with its opposite.
@@ -106,13 +106,13 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
 
 @dataclass(frozen=True, eq=False)
 class PathCosts:
-    """Lengths and costs of straight motions, the shorter way around periodic axes."""
+    """The costs of straight motions in a configuration space, with or without a cost map."""
 
     space: ConfigurationSpace
     cost_map: CostMap | None  # factor of the motion cost; None means 1
 
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
-        """Estimate the cost of the straight motion from ``q0[i]`` by ``changes[i, j]``, from a few samples on it."""
+        """Estimate, from a few samples, the costs of straight motions from ``q0[i]`` to ``q0[i] + changes[i, j]``."""
         n, k, dof = changes.shape
         motion_cost, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
@@ -125,7 +125,10 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, " n"]:
-        """Integrate the cost along each straight motion, to a relative error of at most about ``tolerance``."""
+        """Integrate the cost along straight motions from ``q0`` to ``q1``.
+
+        The relative error is at most about ``tolerance``. Motions go the shorter way around periodic axes.
+        """
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
         domain, motion_cost = self.space.domain, self.space.motion_cost
@@ -162,7 +165,7 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Find a path from each start down a field to a goal, and make it cheaper.
+    """Find a path from each start to a goal by steps down a cost-to-go ``field``, and make it cheaper.
 
     Return the vertices of the paths, their numbers of vertices (0: no path), lengths and costs, and whether each
     start is free.
@@ -193,7 +196,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """Steps down a field to a goal from many starts at once, and a search that leaves local minima of the field."""
+    """Steps down a cost-to-go (the *field*) from many starts at once, and a search that escapes its local minima."""
 
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, " dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
@@ -290,10 +293,12 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
-        """Return the nodes of a path from a local minimum ``x`` to a cost-to-go less than ``below``, without ``x``.
+        """Return a path from a local minimum ``x`` of the cost-to-go to a point where it is less than ``below``.
 
-        Minima in the same cell of a grid share a path from the cell's center, if they see the center. So no path
-        depends on the other starts. The result is None if the search fails.
+        The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
+        one path from the cell's center, so that the path from one start does not depend on other starts. The shared
+        path is used if the straight motion from ``x`` to the center is free, and the path falls below ``below``. Else
+        the search begins at ``x``.
         """
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width
@@ -309,9 +314,10 @@ class _Lookahead:
         return self._search_below(x, below)
 
     def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
-        """Search best first, with at most one node per grid cell, for a path from ``x`` to a value below ``below``.
+        """Search best first for a path from ``x`` to a point where the cost-to-go is less than ``below``.
 
-        Return the nodes after ``x``; the field is less than ``below`` at the last one. None if the search fails.
+        Return the nodes of the path after ``x``, or None if the search fails. The search visits at most one node per
+        grid cell.
         """
         nodes, parent, frontier = [x], [-1], [(0.0, 0)]  # pairs of a node's field value and its index
         claimed = set(self._cells(x[None]))
@@ -349,7 +355,11 @@ class _Lookahead:
 
 
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
-    """Return the next node of each node, skipping nodes where the straight motion past them is free and cheaper."""
+    """Shorten paths: skip a node if the straight motion from the node before it to the node after it is cheaper.
+
+    The motion must also be free. ``onward`` and the result are the index of each node's next node; -1 marks a node
+    from which no path continues.
+    """
     # In each round, every node tries to skip its next node: to go straight to the node after it. A pair is tried
     # once.
     stuck = onward < 0
@@ -370,9 +380,10 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, " paths"]) -> Points:
-    """Return the nodes of paths, shifted so that the segments to their neighbors cost least.
+    """Return the nodes of paths, shifted so that the segments between them cost less.
 
-    The nodes ``first``, at the start of each path, and the goal stay in place.
+    ``onward`` is the index of the next node of each node. The goal (node 0) and the nodes with the indices ``first``,
+    at the start of each path, stay in place.
     """
     # 1. Follow all paths to the last node before the goal. Each inner node is on one path only.
     nodes, motion_cost = nodes.copy(), costs.space.motion_cost
@@ -397,9 +408,10 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return, for each row, ``x`` or ``x`` plus one of ``changes``: the cheapest way from ``before`` to ``after``.
+    """Return, for each ``i``, the point through which the path from ``before[i]`` to ``after[i]`` costs least.
 
-    A change counts only if both straight motions are free.
+    The candidates are ``x[i]``, and ``x[i] + changes[j]`` for each ``j``. The path consists of two straight motions,
+    which must be free. If no candidate is better, the point is ``x[i]``.
     """
     # Changes are compared by estimated costs where the estimate at x is accurate (`is_known`), else by exact costs.
     domain, k = costs.space.domain, len(changes)

@@ -15,9 +15,8 @@ A PLR (piecewise linear regression) is a distance function compressed into few b
     SymmetricFn           Euclidean, ReedsShepp             construct
     HeuristicFn           SumOverRobots                     bl_plan
 
-A test by ``isinstance`` sees only whether an object has members of the protocol's names. ``NearestGoal`` can answer
-for cells only if all its functions are VisibilityGraphs of one map. So only then its instances have the attributes
-``cell_sources``, ``reach`` and ``goals``.
+``isinstance(x, Protocol)`` tests only whether ``x`` has members with the protocol's names. So a ``NearestGoal`` has
+the attributes ``cell_sources``, ``reach`` and ``goals`` only if all its functions are VisibilityGraphs of one map.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,7 +41,7 @@ and ignores obstacles. Users of a distance function must handle the answers of b
 
 
 class _PointFn(Protocol):
-    """A function of points, called with one array of them."""
+    """A function that is called with one array of points, ``(n, dim)``."""
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
@@ -60,7 +59,7 @@ class DimensionedFn(_PointFn, Protocol):
 
 @runtime_checkable
 class FunctionOfBox(_PointFn, Protocol):
-    """A function of the points in a :class:`Box`, its ``domain``."""
+    """A function with an attribute ``domain``: the :class:`Box` of points at which the function is defined."""
 
     @property
     def domain(self) -> Any: ...
@@ -79,10 +78,10 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The goal, and the points where shortest paths to it may turn.
+    """The *sources* of a distance function: the goal, and the points where shortest paths to the goal may turn.
 
-    The shortest path from any point starts with a straight segment to one of these points, its *source*. If there are
-    several goals, they come first among the sources, and each distance is the distance to the nearest goal.
+    The first segment of any shortest path ends at a source. If there are several goals, the goals are the first
+    sources, and each distance is the distance to the nearest goal.
     """
 
     points: Float[np.ndarray, "sources dim"]
@@ -97,7 +96,11 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 
 @runtime_checkable
 class CellwiseFn(_PointFn, Protocol):
-    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
+    """A distance function in the plane that knows where shortest paths from the points of a box may turn first.
+
+    ``cell_sources(domain)`` divides the free space in the box ``domain`` into convex pieces, and returns for each
+    piece the points where paths from it may turn first.
+    """
 
     def cell_sources(self, domain: Any, /) -> CellSources: ...
 
@@ -127,7 +130,10 @@ class FamilyFn(CellwiseFn, Protocol):
 
 @runtime_checkable
 class NearestFn(CellwiseFn, Protocol):
-    """A distance function in the plane to the nearest of several goals; ``which`` returns the goal's index."""
+    """A distance function in the plane to the nearest of several goals.
+
+    ``which`` returns the index of the nearest goal for each point; -1 if no goal can be reached.
+    """
 
     @property
     def goals(self) -> Float[np.ndarray, "goals 2"]: ...
@@ -136,16 +142,16 @@ class NearestFn(CellwiseFn, Protocol):
 
 @runtime_checkable
 class ReachFn(_PointFn, Protocol):
-    """A distance function that knows which boxes of a domain hold free points that cannot reach the goal."""
+    """A distance function that knows which boxes hold free points from which the goal cannot be reached."""
 
     def reach(self, domain: Any, /) -> Any: ...  # a geometry.reach.Reach, or None if all free points reach the goal
 
 
 @runtime_checkable
 class StackableDistanceFn(_PointFn, Protocol):
-    """A distance function, such as a PLR, whose ``stack`` combines the functions of several robots, one per robot.
+    """A distance function, such as a PLR, with a static method ``stack`` that combines one function per robot.
 
-    The result maps joint configurations to each robot's own distance.
+    The combined function maps joint configurations to each robot's own distance.
     """
 
     @staticmethod
@@ -162,14 +168,14 @@ class BoundingFn(_PointFn, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """An isometry ``x -> matrix @ x + offset``; coordinates that are angles are taken modulo a full turn."""
+    """An isometry ``x -> matrix @ x + offset`` of points; results that are angles are taken modulo a full turn."""
 
     matrix: Float[np.ndarray, "dim dim"]
     offset: Float[np.ndarray, " dim"]
 
     @classmethod
     def about(cls, point: Float[np.ndarray, " dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
-        """Return the isometry with this matrix that leaves ``point`` in place."""
+        """Return the isometry with the given ``matrix`` that maps ``point`` to itself."""
         return cls(matrix, point - matrix @ point)
 
 
@@ -183,14 +189,14 @@ class SymmetricFn(_PointFn, Protocol):
 
 @runtime_checkable
 class HeuristicFn(Protocol):
-    """An estimate of the cost-to-go of joint configurations: a sum of one term per robot.
+    """An estimate of the cost-to-go of joint configurations ``(n, robots, dof)``: a sum of one term per robot.
 
-    The estimate is never NaN; ``inf`` or a masked entry means that there is no estimate. Planners evaluate each term
-    only once per configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
+    The estimate is never NaN; ``inf`` or a masked entry means that there is no estimate. Planners evaluate a robot's
+    term only once per configuration of this robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
     def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's term of the sum, which depends only on the configuration of this robot."""
+        """Return each robot's term of the sum. The term depends only on the configuration of this robot."""
         ...

@@ -1,11 +1,12 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-It shares only the boundary of free space, and the direction in which a robot turns. Bodies are Shapely geometries.
+The check and the planners use the same boundary of free space, and the same rule for the direction of turns. In the
+check, the shapes of robots are Shapely geometries.
 
 In a motion without turns, a robot sweeps a convex hull, whose distance to obstacles is exact. Motions with turns are
 bisected in time: in an interval, the clearance is at least its value in the middle, minus the largest distance that
-the bodies move from there. Thin walls divide the free space beside the path of a point into parts; the point must
-not change from part to part.
+the robots can move from there. For point robots, thin walls divide the free space near a path into parts; the path
+must not lead from one part to another.
 """
 
 from collections.abc import Sequence
@@ -35,14 +36,15 @@ class ValidationReport:
 
     Args:
         valid: Whether the path solves the problem.
-        cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
-            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. If the path has a
-            collision, the clearance is about minus the depth of the first overlap.
+        cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite, or has a
+            wrong shape.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. The clearance has an
+            error of at most 1e-7 of the workspace's extent, or twice the workspace's ``tolerance`` if that is more.
+            If the path has a collision, the clearance is about minus the depth of the first overlap.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
-        when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
-        where: Position of robot ``who[0]`` at that time.
+        when: Time of the violation in steps: 3.25 is a quarter of the way from row 3 of the path to row 4.
+        where: Position ``(x, y)`` of robot ``who[0]`` at that time.
     """
 
     valid: bool
@@ -57,13 +59,17 @@ class ValidationReport:
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     """Check whether a path, from any planner, solves a problem.
 
-    The path, joint configurations ``(steps, robots, dof)``, must be finite, begin at the starts and end at the goals
-    exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles, the bounds and
-    one another during all motions; touching is allowed. Motions are straight, at constant rates, and turn the shorter
-    way; a half turn is counterclockwise. A point robot may be outside of free space by twice the workspace's
-    ``tolerance``, and if the path has 32-bit floats, also by their rounding. It may not cross a wall of
-    ``Workspace.free_space``, however thin. An invalid path is reported and raises nothing. ``ValueError`` is raised
-    if ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
+    The path, joint configurations ``(steps, robots, dof)``, must be finite. The path must begin at the starts and end
+    at the goals exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles,
+    the bounds and one another during all motions; touching is allowed. Motions are straight, at constant rates, and
+    turn the shorter way; a half turn is counterclockwise.
+
+    A point robot may be outside of free space by twice the workspace's ``tolerance``; if the path has 32-bit floats,
+    also by the rounding of its coordinates. A point robot may not cross a wall of ``Workspace.free_space``, however
+    thin.
+
+    An invalid path is reported, and raises no error. ``ValueError`` is raised if ``problem`` is not a Problem, or
+    ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
     # A point stays within this distance of free space. Points of 32 bits may be off by one step along both axes.
@@ -93,9 +99,9 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A pair whose clearance is measured: a robot on its path, and another robot on its path or the blocked region.
+    """Two objects between which the clearance is measured: a robot, and another robot or the blocked region.
 
-    The blocked region is all that is not free space.
+    Each robot moves along its path. The blocked region is the complement of the free space.
     """
 
     who: tuple[int, ...]
@@ -111,7 +117,7 @@ class _Encounter:
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return the signed distance between both bodies at times ``when``, negative if they overlap."""
+        """Return the distance between the two objects at times ``when``, in steps; negative if they overlap."""
         bodies = _bodies(self.robot, _at(self.path, when))
         others = np.full(len(when), self.other)
         if self.other_path is not None:
@@ -147,7 +153,7 @@ class _Encounter:
 
     @cached_property
     def velocity(self) -> Float[np.ndarray, "motions 2"]:
-        """Change of the robot's position in each motion, relative to the other robot if there is one."""
+        """Change of the robot's position in each motion, relative to the other robot if there is another robot."""
         velocity = np.diff(self.path[:, :2], axis=0)
         return velocity if self.other_path is None else velocity - np.diff(self.other_path[:, :2], axis=0)
 
@@ -213,10 +219,10 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
-    """Return the pairs whose clearance must be measured, sorted by the indices of their robots.
+    """Return the pairs of objects whose clearance must be measured, sorted by the indices of their robots.
 
     Each robot is paired with the blocked region. Two robots are paired if they may collide, or may have the smallest
-    clearance of the whole path.
+    clearance of the whole path. A point robot may overlap the blocked region by ``margin``.
     """
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
@@ -246,7 +252,10 @@ def _tolerance(workspace: Workspace) -> float:
 
 
 def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, int, int]]:
-    """Return lower bounds of the clearances between robots, ascending, each with the indices of both robots."""
+    """Return, for each pair of robots, a lower bound of their clearance on the path, and the indices of both robots.
+
+    Pairs come by ascending bound. Pairs of two points, which never collide, are left out.
+    """
     radius = np.array([robot.circumscribed_radius for robot in robots])
     clearances = []
     for j in range(1, len(robots)):
@@ -270,7 +279,7 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> 
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:
-    """Return, for each motion, an upper bound of the distance that a robot's corners move by turning."""
+    """Return, for each motion, an upper bound of the length of the arcs that a robot's corners move by turning."""
     turn = shorter_turn(path[:-1, 2], path[1:, 2]) if robot.dof == 3 else np.zeros(len(path) - 1)
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(turn)
 
@@ -290,9 +299,10 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
-    """Find the first motion in which a point robot passes a wall, or a contact (a point where obstacles touch).
+    """Find the first motion in which a point robot crosses a wall, or a contact (a point where obstacles touch).
 
-    Return the robot's index, the index of the motion and a message, or None if there is no such motion.
+    Return the robot's index, the index of the motion and a message, or None if there is no such motion. A point may
+    be outside of free space by ``margin``.
     """
     most = _tolerance(problem.workspace)
     points = [i for i, robot in enumerate(problem.robots) if robot.circumscribed_radius <= most]
@@ -305,11 +315,12 @@ def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, fl
 
 
 def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
-    """Return the indices of the motions in which a point passes a wall, or a contact (a point where obstacles touch).
+    """Return the indices of the motions in which a point robot crosses a wall or a contact.
 
-    Walls, and contacts unless ``workspace.squeeze``, divide the free space within ``margin`` of a motion into parts.
-    A motion begins in the part nearest to its start, or in a part that overlaps the part where the motion before
-    ended. The point passes a wall or contact if its motion ends in another part.
+    A contact is a point where obstacles touch. The robot's path is ``track``. Walls, and contacts unless
+    ``workspace.squeeze``, divide the free space within ``margin`` of a motion into parts. A motion begins in the part
+    nearest to its start, or in a part that overlaps the last part of the previous motion. If the motion ends in
+    another part, the robot crosses a wall or contact.
     """
     # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))

@@ -28,7 +28,8 @@ def _kinds_of_leaves() -> list[str]:
 def _reading_option(help: str, default: str) -> Any:
     """Return a command-line option for an argument of the function that reads the map.
 
-    If the option is not given, it is None, and the argument is left out. So its help shows the reader's ``default``.
+    An option that the user does not give is None, and is not passed to that function, so that the function's own
+    default applies. The text ``default`` describes this default in the ``help`` of the option.
     """
     return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read")
 

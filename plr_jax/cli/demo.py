@@ -24,7 +24,7 @@ _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames, since drawing them takes longer
 
 
 def run(output: Path) -> None:
-    """Run the demo: print its results, and write its files to the folder ``output``, which is made if needed."""
+    """Run the demo: print its results, and write its files to the folder ``output``, which is created if needed."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     problem = scenes.four_rooms(4)
@@ -79,7 +79,10 @@ def _maze(output: Path) -> None:
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
-    """Return how many points per second ``function`` evaluates: the median of ``repeats`` calls, after a warm-up."""
+    """Return how many points per second ``function`` evaluates, from the median time of ``repeats`` calls.
+
+    One more call before these compiles the function.
+    """
     jax.block_until_ready(function(points))
     seconds = timeit.repeat(lambda: jax.block_until_ready(function(points)), number=1, repeat=repeats)
     return len(points) / statistics.median(seconds)

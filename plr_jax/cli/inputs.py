@@ -43,9 +43,9 @@ def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "V
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map as a command names it: a scene or a file, its goals, and the options with which the file is read.
+    """A map as given on the command line: a scene or a file, its goals, and the options with which it is read.
 
-    ``name`` is the name of a scene or the path of a file. If ``goals`` is None, the scene's own goal counts.
+    ``name`` is the name of a scene or the path of a file. If ``goals`` is None, the scene's own goal is used.
     ``options`` has arguments of :func:`plr_jax.scenes.read_workspace`, and the ``radius`` of a disc robot, if any.
     """
 
@@ -55,7 +55,7 @@ class NamedMap:
 
     @property
     def label(self) -> str:
-        """The text that names this map in the file of a PLR, such as ``scan.png --goal=3,28 --resolution=0.05``."""
+        """The text that describes this map in a PLR's file, such as ``scan.png --goal=3,28 --resolution=0.05``."""
         goals = [] if self.goals is None else [";".join(f"{x!r},{y!r}" for x, y in self.goals.tolist())]
         words = [f"--goal={text}" for text in goals]
         words += [f"--{key.replace('_', '-')}={value}" for key, value in self.options.items()]
@@ -63,7 +63,7 @@ class NamedMap:
 
     @classmethod
     def of_label(cls, label: str) -> "NamedMap | None":
-        """Convert the text of :attr:`label` back to the map that it names; None if the text names no map."""
+        """Convert a text such as :attr:`label` back to the map that it describes; None if it describes no map."""
         try:
             name, *words = shlex.split(label)
             arguments = dict(word.removeprefix("--").split("=", 1) for word in words)
@@ -77,7 +77,7 @@ class NamedMap:
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
 
-        If :attr:`goals` is None, these are the goal of a scene with one robot, or None for other maps.
+        If :attr:`goals` is None, return the own goal of a scene with one robot, or None as the goals of another map.
         """
         from plr_jax import scenes
 
@@ -101,11 +101,12 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map: str | None, *, is_needed: bool = False
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
-    """Return the workspace and the goals of the map from which a file of a PLR was built, or None for each unknown.
+    """Return the workspace and the goals of the map from which a PLR's file was built; None where they are unknown.
 
-    The label in the file names the map, its goals and options. If ``map`` is given, it replaces the name. Otherwise,
-    a map that does not exist under its name is looked for in the folder of the file. If the map cannot be read,
-    ``ValueError`` is raised if ``map`` is given or ``is_needed``; else a warning is shown, and the workspace is None.
+    ``content`` is the PLR in the file; its label names the map, the goals and the options. If ``map`` is given, it
+    replaces the map's name. Otherwise, a map that does not exist under its name is searched for in the folder of the
+    file. If the map cannot be read, ``ValueError`` is raised if ``map`` is given or ``is_needed``; else a warning is
+    printed, and the workspace is None.
     """
     # 1. Find the map. The options of the label hold for another map too.
     named = NamedMap.of_label(getattr(content, "label", "")) or NamedMap(map or "", None, {})
@@ -131,7 +132,7 @@ def read_map_of_file(
 def check_output(path: Path | None, endings: Sequence[str] = (), inputs: Sequence[str | Path | None] = ()) -> None:
     """Raise a ``ValueError`` if an output file cannot be written, is one of ``inputs``, or has none of ``endings``.
 
-    Commands call this before the work starts. No ``endings`` means any.
+    Commands call this function before the work starts. If ``endings`` is empty, any file name is accepted.
     """
     if path is None:
         return

@@ -81,7 +81,7 @@ def plan(
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":
-    """Return a scene of ``plr_jax.scenes`` by its name, or read a scene file that ends in ``.json``.
+    """Return the scene of ``plr_jax.scenes`` with this name, or read a scene file whose name ends in ``.json``.
 
     If ``num_robots`` is None, the scene has its default number of robots.
     """
@@ -101,8 +101,8 @@ def read_problem(name: str, num_robots: int | None) -> "Problem":
 def solve(problem: "Problem", options: "BLOptions", heuristic: "HeuristicFn | None" = None) -> "Solution":
     """Plan a path, and print a report. If the path found is not valid, the command ends with exit code 1.
 
-    A ``heuristic`` of None is the default of :func:`plr_jax.bl_plan`. The report compares the cost with a lower
-    bound: the sum of the robots' exact distances, each robot alone in the workspace.
+    If ``heuristic`` is None, :func:`plr_jax.bl_plan` uses its default. The report compares the path's cost with a
+    lower bound: the sum of the robots' exact distances to their goals, each robot alone in the workspace.
     """
     from plr_jax import bl_plan, exact_lower_bound, validate
 

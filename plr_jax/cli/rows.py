@@ -18,8 +18,8 @@ _HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field begins w
 def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n dim"]]:
     """Yield the points of a table block by block: ``dim`` comma-separated numbers per line, after an optional header.
 
-    ``file`` is a binary file. Blank lines are skipped. Rows that are not points become NaN; a warning for each block
-    names its first such row. ``ValueError`` is raised if the table has no rows.
+    ``file`` is a binary file, called ``name`` in messages. Blank lines are skipped. Rows that are not points become
+    NaN; for each block, a warning names the first such row. ``ValueError`` is raised if the table has no rows.
     """
     expected = f"{dim} comma-separated numbers"
     may_be_header = is_empty = True
@@ -62,10 +62,10 @@ def _blocks(file: Any) -> Iterator[str]:
 
 
 def _parse(rows: list[str], points: Float[np.ndarray, "n dim"]) -> list[int]:
-    """Write the numbers of rows into ``points``, in place, and return the indices of bad rows.
+    """Write the numbers of text rows into the array ``points``, and return the indices of bad rows.
 
-    ``np.loadtxt`` is fast for many rows, but fails if one of them is bad. Then each half of the rows is parsed by
-    itself.
+    ``np.loadtxt`` is fast for many rows, but fails if a row is bad. If it fails, each half of the rows is parsed
+    separately. Bad rows of ``points`` stay unchanged.
     """
     with suppress(ValueError):
         read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)

@@ -1,9 +1,9 @@
 """An estimate of the cost-to-go on a regular grid, interpolated between its nodes.
 
-If motions cost the same in every direction, a front marches over the grid from all goals (``march.py``). If costs
-depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns), the estimate is
-the cost of shortest paths along edges of the grid. Edges are up to three grid steps long along an axis, so the costs
-are up to a few percent too high. Walls move to the nearest nodes.
+If motions cost the same in every direction, fast marching computes the estimate (``march.py``). Otherwise, the
+estimate is the cost of shortest paths along edges between nodes: if costs depend on the direction, or are sums of
+norms of several groups of axes, as for a body that turns. Edges are up to three grid steps long along an axis, so
+these costs are up to a few percent too high. Walls are moved to the nearest nodes.
 """
 
 from dataclasses import dataclass
@@ -86,7 +86,10 @@ class GridEstimate:
         return tuple(np.clip(place, 0, shape - 1).T)
 
     def reach(self, domain: Box) -> Reach:
-        """Return tests whether boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
+        """Return tests whether a box within ``domain`` holds nodes with a path to a goal, and open nodes without one.
+
+        A node is open if paths may pass it. A node next to a node with a path counts as a node with a path.
+        """
         is_reached = np.isfinite(self.cost if self.closed_cost is None else np.minimum(self.cost, self.closed_cost))
         # Points beside a node that reaches a goal may have a value.
         mode: Any = ["wrap" if wraps else "nearest" for wraps in self.space.domain.periodic]
@@ -109,7 +112,7 @@ class GridEstimate:
         return goal
 
     def which_reached(self, x: Points) -> Int[np.ndarray, " n"]:
-        """Return the goals' indices like :meth:`which`, but -1 at points where the estimate is ``inf``."""
+        """Return the indices that :meth:`which` returns, but -1 at points where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
     @cached_property
@@ -150,9 +153,9 @@ def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> b
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:  # goals must differ
-    """Estimate the cost-to-go on a regular grid, to which a PLR of ``num_leaves`` leaves can be fitted.
+    """Estimate the cost-to-go on a regular grid that is fine enough to fit a PLR of ``num_leaves`` leaves.
 
-    The grid has at least 16 nodes per leaf, up to the largest number of nodes.
+    The grid has at least 16 nodes per leaf, unless this exceeds the largest allowed number of nodes.
     """
     # 1. The nodes: centers of grid cells, or of voxels that stand for groups of voxels.
     domain, motion_cost, dim = space.domain, space.motion_cost, space.domain.dim
@@ -259,10 +262,14 @@ def _grid(
 ) -> tuple[Box, Shape]:
     """Choose a regular grid of about ``num_nodes`` nodes or more; return its box and its number of cells per axis.
 
-    Nodes are the cells' centers. If the space has voxels, or the cost map has raster cells, each of these is divided
-    into an odd number of grid cells along each axis. If there are too many, a grid cell instead joins an odd number
-    of them along each axis. Otherwise the outermost nodes lie on the domain's faces, and steps are round decimals if
-    these fit: walls often have round coordinates.
+    Nodes are the centers of grid cells. The grid follows the voxels of the space, or else the cells of a raster of
+    costs: each voxel or raster cell is divided into an odd number of grid cells along each axis. If there are too
+    many voxels or raster cells, each grid cell instead joins an odd number of them along each axis. ``is_isotropic``
+    says whether motions cost the same in every direction.
+
+    If there are neither voxels nor raster cells to follow, the outermost nodes lie on the faces of the domain. The
+    grid step is then a round decimal if that fits, since walls often have round coordinates. A raster is not followed
+    if it has another domain than the space, or if its costs are interpolated in the plane.
     """
     domain = space.domain
     most = _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES
@@ -308,9 +315,10 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return three arrays of grid cells: their states, whether their centers are open, and which of these are clear.
+    """Return three values for each grid cell: its state, whether its node is open, and whether its node is clear.
 
-    Paths may pass open centers. A center is clear if it is open and lies on no wall.
+    The node is the center of the cell. A node is *open* if paths on the grid may pass it, and *clear* if it is open
+    and lies on no wall.
     """
     domain = space.domain
 
@@ -350,9 +358,10 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> bool:
-    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall.
+    """For each pair of neighbor nodes of the grid that a wall separates, close the node nearer to the wall.
 
-    ``is_open`` is modified in place. Return whether any node was closed.
+    A node is closed if paths may not pass it: its entry in ``is_open`` becomes False, in place. Return whether any
+    node was closed.
     """
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
@@ -384,9 +393,9 @@ def _stencil_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return the cost of each node's shortest path to a goal along edges of the grid, and the goal's index.
+    """Return the cost of each node's shortest path to a goal along edges between nodes, and the goal's index.
 
-    Without a path, they are ``inf`` and -1.
+    Edges are up to three grid steps long along an axis. If there is no path, the cost is ``inf`` and the index is -1.
     """
     # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.

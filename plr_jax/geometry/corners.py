@@ -21,7 +21,7 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
-    """Corners of free space at which shortest paths can turn."""
+    """Corners of the boundary of free space at which shortest paths can turn."""
 
     points: Float[np.ndarray, "corners 2"]
     # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second.
@@ -42,7 +42,11 @@ class ReflexCorners:
         return self.is_tangent_to(corner, self.points[other])
 
     def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls at each corner lie on one side of the line from the corner to a point ``x``."""
+        """Return whether both walls at each corner lie on one side of the line through the corner and a point ``x``.
+
+        Only then can a shortest path turn at the corner on the way from or to ``x``. Up to ``slack``, walls may lie
+        on the other side.
+        """
         # Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         dx, dy = np.moveaxis(x - self.points[corner], -1, 0)
         # Cross products: positive if x is on the left of the wall.
@@ -53,8 +57,8 @@ class ReflexCorners:
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     """Return the corners at which shortest paths may turn, and the same corners as viewpoints.
 
-    These corners are the reflex vertices of free space. If paths may squeeze through, they include the *contacts*:
-    points in which obstacles touch.
+    These corners are the reflex vertices of free space and, if ``workspace.squeeze``, the *contacts*: points where
+    obstacles touch, which paths may then cross.
     """
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
@@ -71,7 +75,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners at which shortest paths can turn, what each one sees, and the visibility graph."""
+    """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph."""
 
     corners: ReflexCorners
     views: Viewpoints  # at the corners
@@ -94,7 +98,7 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, " pairs"], seen: Int[np.ndarray, " pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return the pairs of corners that see one another along a line tangent to the walls at one corner or both.
+    """Return the pairs of corners that see each other along a line that is tangent to the walls at a corner or both.
 
     The arguments list what corners see: corner ``view[i]`` sees corner ``seen[i]``. Each pair is returned once.
     """
@@ -111,7 +115,10 @@ def mutually_visible_pairs(
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, " vertices"]:
-    """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn there."""
+    """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn at the vertex.
+
+    ``views`` are the corners at which paths can turn.
+    """
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
@@ -138,7 +145,7 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
+        """Vectors along the right side and along the left side of each cone; 0 if the cone is the whole plane."""
         #     left side \      / right side
         #                \cone/
         #                 \  /
@@ -154,7 +161,7 @@ class TurnPoints:
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
         """Return the length of the path from each point straight to each corner, and on to the goal.
 
-        It is NaN if the point lies outside the corner's cone. Visibility is not tested.
+        The length is NaN if the point lies outside the corner's cone. Visibility is not tested.
         """
         length = distances_between(x, self.points)
         length += self.distance
@@ -166,8 +173,8 @@ class TurnPoints:
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
         """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 
-        Corners are numbered as in ``vertex``, also in calls of ``sees``. A point without such a path has the corner
-        -1 and the length ``inf``.
+        Corners are given by their indices in ``vertex``. ``sees(i, corner)`` tests whether point ``i`` sees a corner.
+        Without a path, the corner is -1 and the length ``inf``.
         """
         turn, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
@@ -181,7 +188,11 @@ def find_turn_points(
     parents: Int[np.ndarray, " vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return the corners at which shortest paths to a goal may turn first; ``vertices`` are goals, then corners."""
+    """Return the corners at which shortest paths to a goal may turn first.
+
+    ``vertices`` are the ``num_goals`` goals, then all corners. ``distances`` are the distances from vertices to the
+    nearest goal, and ``parents`` the index of the next vertex on each shortest path to a goal.
+    """
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     #
     #                                 . onward, to the goal
@@ -217,7 +228,7 @@ def find_turn_points(
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """The corners where paths to a goal may turn first, listed for each triangle of free space."""
+    """Lists, one for each triangle of free space, of the corners where paths from there to a goal may turn first."""
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -227,8 +238,9 @@ class TurnRegions:
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 
-        Corners are numbered as in ``turns.vertex``, also in calls of ``sees``. A point without such a path has the
-        corner -1 and the length ``inf``.
+        Corners are given by their indices in ``turns.vertex``. ``sees(i, corner)`` tests whether point ``i`` sees a
+        corner. ``places`` are the points ``x``, located in the triangulation. Without a path, the corner is -1 and
+        the length ``inf``.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
@@ -255,7 +267,10 @@ class TurnRegions:
 
 
 def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]) -> TriangleLists:
-    """List the viewpoints that see each triangle, given pairs (viewpoint, triangle), some of which may repeat."""
+    """List the viewpoints that see each triangle, given all pairs (viewpoint, triangle); a pair may repeat.
+
+    The result is ``(first, view)``: triangle ``t`` is seen by the viewpoints ``view[first[t] : first[t + 1]]``.
+    """
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
