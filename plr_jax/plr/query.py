@@ -144,7 +144,7 @@ def lookup(tables: Tables, x: Points) -> Bits:
 
 
 def find_row(tables: Tables, x: Points) -> Bits:
-    """Return, for each point, the index under which ``tables.leaf_parameters`` has the parameters of the point's leaf.
+    """Return, for each point, the index at which ``tables.leaf_parameters`` has the parameters of the point's leaf.
 
     Along periodic axes, points must lie in the domain.
     """

@@ -70,7 +70,9 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads entry ``[i, j]`` of all small arrays.
+    """Small arrays, one for each query point, in one flat array.
+
+    ``t[i, j]`` reads entry ``[i, j]`` of every small array.
     """
 
     flat: Array

@@ -46,8 +46,7 @@ class TableStack:
         return distances.T
 
     def _answer(self, q: Float[np.ndarray, "n robots dof"]) -> tuple[Array, ...]:
-        """Return an array of distances (or lower bounds) for each robot, with one entry per joint configuration in
-        ``q``.
+        """Return an array of distances (or lower bounds) for each robot, with one entry per joint configuration.
 
         ``q`` is first padded by zeros up to one of few batch sizes, so that few sizes are compiled. The arrays have
         this padded length.

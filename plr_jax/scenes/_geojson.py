@@ -114,9 +114,10 @@ def read_wkt(
 ) -> Workspace:
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
-    A ``.wkt`` file has one polygon, multipolygon, or collection of them. Empty geometries are skipped; altitudes,
-    measures and ``SRID=...;`` are dropped. Arguments, units and errors are those of :func:`read_geojson`, but by
-    default polygons are free space, and bounds are their bounding box.
+    A ``.wkt`` file has one polygon, one multipolygon, or one collection of polygons and multipolygons. Empty
+    geometries are skipped; altitudes, measures and ``SRID=...;`` are dropped. Arguments, units and errors are those
+    of :func:`read_geojson`, except for two defaults: polygons are free space, and bounds are the bounding box of the
+    polygons.
     """
     path = Path(path)
     with errors_named(path):

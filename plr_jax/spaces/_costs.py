@@ -18,7 +18,11 @@ Rates: TypeAlias = Float[np.ndarray, " n"]
 
 
 def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise a ``ValueError`` about the first row that is not ``fine``: its values ``got``, and its place ``at``."""
+    """Raise a ``ValueError`` about the first index at which ``fine`` is False; do nothing if there is none.
+
+    The message says what was ``expected``. At this index, it shows the values of all arrays ``got``, and the
+    configurations of all arrays ``at``: a point, or both corners of a box.
+    """
     if not fine.all():
         i = int(fine.argmin())
         values = " and ".join(str(column[i].tolist()) for column in got)
@@ -44,7 +48,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes.
+        """Return positive lower and finite upper bounds of the factor, ``(n,)``, over boxes from ``lo`` to ``hi``.
 
         Boxes may extend beyond the domain along periodic axes.
         """
@@ -108,8 +112,8 @@ class LipschitzCost:
     Args:
         cost_fn: Function from configurations ``(n, dof)`` to the positive factor of the motion cost, ``(n,)``.
         lipschitz: Largest change of the factor per unit of Euclidean distance between configurations, at least 0.
-        least: Positive lower bound of the factor everywhere. It counts in boxes where the Lipschitz constant gives no
-            better bound.
+        least: Positive lower bound of the factor everywhere. In a box where the Lipschitz constant gives no better
+            bound, this bound is used.
     """
 
     cost_fn: Callable[[np.ndarray], ArrayLike]
@@ -189,7 +193,11 @@ def cost_bounds(
 
 
 def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the cost factors ``(n,)`` at configurations, and their pulls or None, as :func:`cost_bounds` does."""
+    """Return the cost factor at each configuration, ``(n,)``, and the pulls of a ``DirectionalCost`` (else None).
+
+    *Pulls* are two vectors per configuration, ``(2, n, dof)``. A motion ``dq`` costs its ``motion_cost`` times the
+    factor, plus the larger of the scalar products of ``dq`` with the two pulls.
+    """
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -200,7 +208,10 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
 
 
 def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of straight motions from ``q`` to ``q + change``, as if costs were everywhere as at ``q``."""
+    """Return the costs of straight motions from ``q`` to ``q + change``, with the cost factor and pulls at ``q``.
+
+    For the factor and pulls, see :func:`point_costs`.
+    """
     factors, pulls = point_costs(motion_cost, cost_map, q)
     return factors * motion_cost.norm(change) + pulled(pulls, change)
 

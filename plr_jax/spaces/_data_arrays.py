@@ -1,6 +1,6 @@
 """Read xarray's ``DataArray`` as a raster of two dimensions, y and x, with coordinates of the cell centers.
 
-Functions return the values, and the box that the cells fill. xarray need not be installed.
+The functions return the raster's values, and the box that its cells fill. xarray need not be installed.
 """
 
 import warnings

@@ -282,8 +282,7 @@ class _Rounds:
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
-        """Return the indices of the leaves to split next, and their split axes; both arrays are empty if growth ends.
-        """
+        """Return the indices of the leaves to split next, and their split axes; both arrays are empty if none is."""
         fit, limits = now.fit, self._limits
         # 1. Estimate how many splits the limits allow, if the file grows in proportion to the leaves. For continuous
         # leaves, count it with a doubled step, which saves one bit per value. Smooth leaves need the finer step.

@@ -54,8 +54,7 @@ class PythonEmitter(Emitter):
 
 
 class LeafTable:
-    """A lookup table: for each cell of a regular grid, the deepest tree node (or leaf) that contains this grid cell.
-    """
+    """A lookup table: for each cell of a regular grid, the deepest node of the tree that contains this grid cell."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree = tree
