@@ -344,7 +344,10 @@ def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
-    """Return the row of the parameters of each point's leaf in a stack of PLRs, by descending the stack's trie."""
+    """Return the index of the parameters of each point's leaf in a stack of PLRs, by descending the stack's trie.
+
+    A trie is a lookup table that is read level by level, from coarse to fine.
+    """
 
     # Entry 2 * i + 1 leads to the page that starts at entry i, where the point's bits select an entry. Entry 2 * i
     # leads to row i; it reads entry i, which is 2 * i again.

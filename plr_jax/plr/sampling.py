@@ -348,7 +348,7 @@ def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.nda
 
 
 def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:
-    """Return, for each cell and axis, whether the cell should rather be halved along another axis.
+    """Return, for each cell and axis, whether the axis is closed: the cell should not be halved along it.
 
     An axis is closed if the cell was halved ``max_axis_depth`` times along it, or ``MAX_ASPECT_BITS`` times more than
     along another axis. ``depth`` has the number of halvings of each cell along each axis.

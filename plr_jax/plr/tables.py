@@ -111,8 +111,8 @@ class Blocks:
     """The coarse level of a lookup table: each cell of a coarse grid, a *block*, has a table for a finer grid.
 
     A block has one or more 32-bit *words*. The first word has, from its lowest bit, log2 of the finer grid's size
-    along each axis, then the start of the block's table in ``leaf_of_slot``. Axes for which it has no room go into
-    further words. Each word costs a query one read.
+    along each axis, then the start of the block's table in ``leaf_of_slot``. Axes for which the first word has no
+    room go into further words. Each word costs a query one read.
     """
 
     words: tuple[UInt32[Array, " blocks"], ...]
@@ -203,9 +203,9 @@ def build_pages(
 ) -> tuple[Pages, PerAxis, UInt16[np.ndarray, " entries"], int] | None:
     """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
 
-    Among coarse grids, choose the one whose table takes the least memory. The table's number of entries is padded to
-    one of ``entry_counts``, in ascending order. Return the pages, how often the coarse grid halves each axis, the
-    leaf in each entry, and the padded number of entries.
+    Among coarse grids, choose the one whose table takes the least memory. The table is padded to the least sufficient
+    of ``entry_counts`` (ascending); each entry holds ``parameters_per_entry`` numbers. Return the pages, how often
+    the coarse grid halves each axis, the leaf in each entry, and the padded number of entries.
     """
     # 1. Choose the coarse grid. An index into a page has a field of `page_bits` bits for each axis, the last axis
     #    lowest, with `later_bits` bits below it. A page that is halved less often along an axis uses the highest
@@ -335,9 +335,10 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables whose queries first mirror points into the folded domain, the part that the leaves cover.
+        """Return tables whose queries first mirror points into the *folded* domain.
 
-        The points of queries are relative to ``origin``. If ``folding`` is None, return these tables unchanged.
+        The folded domain is the part of the domain that the leaves cover. The points of queries are relative to
+        ``origin``. If ``folding`` is None, return these tables unchanged.
         """
         if folding is None:
             return self
@@ -353,7 +354,7 @@ def build_tables(
 ) -> Tables:
     """Build the lookup tables that map points to the parameters of their leaves, for a file of ``num_bytes`` bytes.
 
-    ``ValueError`` if the tables would be too large.
+    ``leaf`` is the leaf model. ``ValueError`` if the tables would be too large.
     """
     size_class = byte_class(max(num_bytes, ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(size_class, leaf.least_bytes)

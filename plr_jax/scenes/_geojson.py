@@ -78,8 +78,8 @@ def read_geojson(
     for example to UTM; a warning tells if coordinates look like degrees.
 
     Args:
-        path: A file with a FeatureCollection, a Feature, or a geometry: polygons, multipolygons and collections of
-            them. Null and empty geometries are skipped, altitudes are dropped.
+        path: A file with a FeatureCollection, a Feature, or a geometry: a polygon, a multipolygon, or a collection of
+            these geometries. Null and empty geometries are skipped, altitudes are dropped.
         polygons: Whether the polygons are obstacles or free space.
         bounds: Bounds of the workspace. None: the file's ``"bbox"``, or else the bounding box of all polygons.
         squeeze: Whether a path may pass between two obstacles that touch in one point.

@@ -219,7 +219,7 @@ def read_map_server(
 
     The occupancy of a pixel is ``1 - lightness``, with lightness from 0 (black) to 1 (white). If ``negate`` is set,
     it is the lightness itself. A pixel is free below ``free_thresh``, occupied above ``occupied_thresh``, and unknown
-    between. The mode decides about transparency:
+    between. The ``mode`` changes how pixels are read:
 
     - ``trinary``: in a picture with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS
       and in Nav2 up to Jazzy.
@@ -261,8 +261,8 @@ def read_cost_map(
       that are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
     - ``raw``: the percentages in the pixels, without thresholds.
 
-    Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
-    adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
+    Occupied cells are blocked. If all other cells are free or unknown, the usual costs around obstacles are added by
+    ``read_cost_map(path).inflated(inscribed_radius)``. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
     :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
@@ -414,7 +414,10 @@ class _MapServer:
         return self.cells(lambda occupancy: occupancy < self.free_thresh, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
+        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``, by mode and thresholds.
+
+        The values are 0 (free) to 100 (occupied), and -1 where unknown.
+        """
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":

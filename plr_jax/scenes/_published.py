@@ -98,7 +98,10 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
-    """Draw random centers for discs in a square of width ``side``, with gaps between discs and to the sides."""
+    """Draw random centers of discs in a square of width ``side``, with gaps between discs and to the sides.
+
+    The discs have radius 0.4; gaps are at least 0.05. ``ValueError`` if no positions are found.
+    """
     places = np.empty((0, 2))
     margin = _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):

@@ -52,8 +52,9 @@ def read_volume(
         pitch: Side of a voxel, in units of the mesh; for meshes only, which need it.
         bounds: For meshes, the box, or its corners, that the voxels fill from the lower corner on; the last voxels
             may extend beyond it. None: the bounding box of the mesh.
-        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through faces to
-            the border of the grid. A surface with holes wider than a voxel encloses nothing.
+        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through free
+            voxels and their faces to the border of the grid. A surface with holes wider than a voxel encloses
+            nothing.
 
     Raises:
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is

@@ -110,7 +110,8 @@ class PlanarArm:
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
 
-        Motions that come closer to a wall than about 1e-3 of their length may not be proven free.
+        A motion that comes close to a wall may not be proven free. Close means about 1e-3 of the length of the path
+        of the arm's tip.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)

@@ -81,19 +81,19 @@ class DirectionalCost(CostMap, Protocol):
                     uphill = rate * gradient((lo + hi) / 2)
                     return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
-        For the travel time of a vehicle of speed 1 in a steady current ``w``, with ``a = 1 - |w|^2`` (Zermelo),
-        ``pulls`` returns ``-w / a`` twice, ``1 / sqrt(a)`` and ``1 / a``, each for every box.
+        For the travel time of a vehicle of speed 1 in a steady current ``w``, let ``s = 1 - |w|^2`` (Zermelo). Then
+        ``pulls`` returns ``-w / s`` twice, ``1 / sqrt(s)`` and ``1 / s``, each for every box.
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
         """Bound the cost of all motions in each box, by constants for the box.
 
-        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most the same with
-        ``most``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain along periodic
-        axes.
+        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most ``most * |dq| +
+        max(a . dq, b . dq)``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain
+        along periodic axes.
 
-        If ``least <= most / 4`` or ``least - d <= most / 50``, pulls are too loose, and :meth:`bounds` count in this
-        box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+        If ``least <= most / 4`` or ``least - d <= most / 50``, the pulls are too loose, and :meth:`bounds` is used in
+        this box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
 
         Returns:
             The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.

@@ -159,7 +159,10 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """A point deep inside the polygon ``robot.core``, and its distance to the nearest side of the polygon."""
+        """A point deep inside the polygon ``robot.core``, and its distance to the nearest side of the polygon.
+
+        If the core is a point or a segment, it is the core's middle, with distance 0.
+        """
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0

@@ -139,7 +139,7 @@ class ConfigurationSpace(FreeTest, Protocol):
 class Separable(Protocol):
     """A configuration space that can tell which configurations are disconnected from given configurations.
 
-    Solvers use it to count rooms that are cut off from the goal as obstacles.
+    Solvers use this to treat rooms that are cut off from the goal as obstacles.
     """
 
     def separated(self, q: ArrayLike, /) -> tuple[ConfigurationSpace, ConfigurationSpace | None]:

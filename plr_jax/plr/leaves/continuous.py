@@ -1,9 +1,9 @@
 """The leaf models ``"continuous"`` and ``"smooth"``: piecewise functions that are continuous except across walls.
 
-The unknowns are the function's values (for ``"smooth"`` also derivatives) at the corners of all leaves. Two leaves
-share the unknowns of a *free* face between the leaves, a face that paths can cross. Each round of the construction
-splits the leaves of largest error; then one sparse least-squares problem fits all unknowns again. A file stores each
-unknown as an integer, the difference from a prediction by unknowns of coarser cells.
+The unknowns are the function's values at the corners of all leaves. Two leaves share the unknowns of a *free* face
+between the leaves, a face that paths can cross. Each round of the construction splits the leaves of largest error;
+then one sparse least-squares problem fits all values again. A file stores each value as an integer, the difference
+from a prediction by values of coarser cells.
 """
 
 from collections.abc import Callable, Sequence
@@ -91,9 +91,9 @@ _INSET = 0.998  # test points fill this share of the face, since its ends belong
 
 
 class FaceTests:
-    """A tester of which faces between leaves are *free*: distances are finite on both sides of some test point.
+    """A test of faces between leaves: a face is *free* if paths can cross it.
 
-    The test points lie on the face.
+    A face counts as free if, next to one of its test points, distances are finite on both sides of the face.
     """
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
@@ -101,7 +101,7 @@ class FaceTests:
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
-        """Return whether each face is free: distances are finite on both sides of some test point of the face.
+        """Return whether each face is free: distances are finite on both sides of one of its test points.
 
         ``cells`` are the leaves to which the indices in ``faces`` refer. Faces of the previous call are not tested
         again.
@@ -173,8 +173,8 @@ class TiedPartition:
 class StoredValues:
     """The degrees of freedom of a continuous function, quantized as in a file: ``offset + step * code``.
 
-    A degree of freedom is a value at a corner of leaves, unless it follows from an adjacent, larger leaf. Smooth
-    functions are stored by such values, too.
+    A degree of freedom is the function's value at a corner of leaves. Corners whose value is interpolated from an
+    adjacent leaf have none. The derivatives of a smooth function follow from its values.
     """
 
     partition: TiedPartition
@@ -319,9 +319,9 @@ class _Rounds:
     def fit_leaves(self, fit: CellFit) -> _FittedPartition:
         """Fit a function, continuous except across walls, to the samples of all leaves by least squares.
 
-        The leaves in ``fit`` may have any order; the result has them in tree order. Fitted values are rounded to
-        multiples of their mean error, or more coarsely if the byte limit asks for it. The file may still exceed the
-        limit.
+        The leaves in ``fit`` may have any order; the result has them from left to right in the tree. Fitted values
+        are rounded to multiples of their mean error, or more coarsely if the byte limit asks for it. The file may
+        still exceed the limit.
         """
         # 1. Sort the leaves by the tree, and find out which ones share values.
         tree = tree_of(fit.cells)

@@ -48,7 +48,7 @@ class CEmitter(Emitter):
 def c_header(program: Program, name: str) -> str:
     """Return a C header with the tables of a PLR and the functions that answer queries; see :meth:`PLR.c_header`.
 
-    ``name`` is the prefix of all names in the header. ``ValueError`` if it is no C identifier.
+    ``name`` is the prefix of the header's functions and tables. ``ValueError`` if it is no C identifier.
     """
     require_identifier(name)
     dim, leaf = program.dim, program.leaf
@@ -171,7 +171,7 @@ def c_header(program: Program, name: str) -> str:
 def compact_header(program: Program, name: str) -> str:
     """Return a C header with the compact bytes of a PLR and the decoder that queries them; see :meth:`PLR.c_header`.
 
-    ``name`` is the prefix of this PLR's names in the header. ``ValueError`` if it is no C identifier.
+    ``name`` is the prefix of the functions and bytes of this PLR. ``ValueError`` if it is no C identifier.
     """
     require_identifier(name)
     data, dim = compact_bytes(program), program.dim

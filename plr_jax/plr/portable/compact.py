@@ -60,9 +60,9 @@ def compact_bytes(program: Program) -> bytes:
 
 
 class _CompactWriter:
-    """A writer of one PLR's bytes for the C decoder; each method ``with_...`` encodes the leaves in another way.
+    """A writer of one PLR's bytes for the C decoder.
 
-    A writer is for one such call.
+    Call one of the methods ``with_...``, once. Each method encodes the leaves in another way.
     """
 
     def __init__(self, program: Program) -> None:
@@ -152,9 +152,9 @@ class _CompactWriter:
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, " _"]) -> bytes:
         """Append planes, exceptions and the floats ``rows``; return all bytes, with ``flags`` in the header.
 
-        ``numbers`` are the leaf parameters that the decoder computes. A parameter with another value in a query of
-        the PLR file is stored as an exception. A leaf with many exceptions is stored as a plane instead, if this
-        changes no answer.
+        ``numbers`` are the leaf parameters that the decoder computes. If a query of the PLR file uses another value
+        of a parameter, this value is stored as an exception. A leaf with many exceptions is stored as a plane
+        instead, if this changes no answer.
         """
         # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
         # fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
@@ -405,8 +405,8 @@ class _SmoothCorners:
     """Values and derivatives at corners of smooth leaves in the plane, as the C decoder computes them.
 
     Numbers whose rounding by the decoder cannot be predicted are NaN. Coordinates of points are integers, in units of
-    ``2**-23`` of the domain's width. Corners have the index ``2 * x_bit + y_bit``, with bits 1 for the upper end. The
-    four numbers at a corner have it, too, with bits 1 for a derivative: value, derivative by y, by x, by both.
+    ``2**-23`` of the domain's width. The four corners of a leaf have the indices ``2 * x_bit + y_bit``, where a bit
+    is 1 at the upper end of its axis. The four numbers at a corner are value, derivative by y, by x, and by both.
     """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
@@ -417,9 +417,10 @@ class _SmoothCorners:
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
         """Return value and derivatives at a corner of leaves, and its chain length.
 
-        The corner is at ``point``; of the leaves there, those with the integer ``value`` at this corner count. A
-        *hanging* corner lies inside an edge of a larger leaf. Its numbers follow from the ends of this edge, which
-        may hang, too. The chain length is the largest number of hanging corners in succession, from ``point`` on.
+        The corner is at ``point``. Only leaves whose integer value at this corner is ``value`` count. A *hanging*
+        corner lies inside an edge of a larger leaf. Its value and derivatives follow from the ends of this edge,
+        which may hang, too. The chain length is the largest number of hanging corners in succession, from ``point``
+        on.
         """
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)

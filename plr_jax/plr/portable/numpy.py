@@ -111,9 +111,10 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    ``numbers`` are the parameters of all leaves. The function returns the distance, or the leaf's index if
-    ``of_leaf``. Outside the domain, it returns ``inf`` or -1. It returns None if the point must be moved along a
-    periodic axis, if NaN is the only reason to count it as outside, or if rounding decides whether it is inside.
+    ``numbers`` are the parameters of all leaves. The function returns the distance (``inf`` outside the domain), or
+    with ``of_leaf`` the leaf's index (-1 outside). It returns None if only a query of arrays can answer. This happens
+    if the point must be moved along a periodic axis, if it has NaN and no coordinate outside the domain, or if
+    rounding decides whether it is inside.
     """
     # For example, for planes in the unit square:
     #

@@ -126,6 +126,7 @@ class _GoalTree:
         """Return the complete tree: the equal cut of the domain, then the first ``num_splits`` splits.
 
         The equal cut halves the domain along ``axes_above[0]``, then all halves along ``axes_above[1]``, and so on.
+        Splits are sorted by falling key (proven error).
         """
         axis = np.where(self._split_rank < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))  # level by level, from left to right
