@@ -168,8 +168,8 @@ def leaves_of_slots(
 ) -> UInt32[np.ndarray, " slots"]:
     """Return the leaf in each entry of the lookup tables of all *blocks* (cells of a coarse grid), table by table.
 
-    ``shape`` has log2 of the size of each block's table along each axis. The table of block ``i`` has the entries
-    ``offset[i]`` up to ``offset[i + 1]``.
+    ``block_bits`` says how often the coarse grid halves each axis. ``shape`` has log2 of the size of each block's
+    table along each axis. The table of block ``i`` has the entries ``offset[i]`` up to ``offset[i + 1]``.
     """
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)

@@ -138,10 +138,10 @@ class Program:
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """Return points in the coordinates of the query.
+        """Return points ``x`` as the query computes with them.
 
-        If the domain is far from 0, these coordinates are relative to its lower corner and rounded to 32 bits; else
-        they are unchanged.
+        In a domain far from 0, they are relative to the domain's lower corner, and rounded to 32 bits. In any other
+        domain, they are unchanged.
         """
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 

@@ -172,12 +172,12 @@ class WorstFirst:
         return max(1, int(_LEAVES_AT_ONCE / self.num_leaves))
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], CellSources]:
-        """Return the tree and the stored cones of each goal, and the sources visible from each leaf.
+        """Return the tree and the stored cones of each goal, and the *sources* of all leaves.
 
-        ``oracles`` has one distance function per goal; all are of one workspace. The visible sources list the leaves
-        of the first goal, then those of the second goal, and so on. A goal gets None instead of a tree and cones if
-        no path leads to the goal, or if the limits are too narrow for the equal boxes into which the domain is cut
-        first.
+        ``oracles`` has one distance function per goal; all are of one workspace. The sources of a leaf are the
+        corners (or the goal) to which shortest paths from the leaf may go first. They are listed for the leaves of
+        the first goal, then of the second goal, and so on. A goal gets None instead of a tree and cones if no path
+        leads to the goal, or if the limits are too narrow for the equal boxes into which the domain is cut first.
         """
         # 1. Cut the domain into equal boxes, along x and y in turn. Each box is a node of each goal's tree. Sources
         # of all goals are numbered one goal after the other, `num_sources` for each goal.
