@@ -53,7 +53,8 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
 
     A chunk is a pair: the indices of some results, and a function that returns the bytes of these results.
     ``executor`` computes the chunks. If it is None or a worker dies, threads of this process compute the missing
-    chunks. Return the finished results by index, and whether an interrupt (Ctrl-C) stopped the computation.
+    chunks. ``progress`` counts the results. Return the finished results by index, and whether an interrupt (Ctrl-C)
+    stopped the computation.
     """
     results: dict[int, bytes] = {}
     threads = ThreadPoolExecutor(num_cores())

@@ -1,7 +1,11 @@
 """Evaluation of a PLR in JAX.
 
-A query applies mirror symmetries to the points (*folds* them), moves them into the period of periodic axes (*wraps*
-them), finds each point's leaf by bit arithmetic and table lookups, and evaluates the leaf's function.
+A query has four steps:
+
+1. *Fold* the points: apply mirror symmetries that map them into the domain of the leaves.
+2. *Wrap* the points: move them into the domain along periodic axes.
+3. Find each point's leaf by bit arithmetic and table lookups.
+4. Evaluate the leaf's function.
 
 On a CPU, in 32 bits, answers equal those of the NumPy and C readers bit for bit, except for numbers below 1e-38.
 """

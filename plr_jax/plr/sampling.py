@@ -127,7 +127,8 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     """Fit each cell's plane by weighted least squares, which gives small mean errors (Section III-A of the paper).
 
     The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
-    determine the plane, the slope has the least norm: a single sample gives a constant plane, no sample gives zero.
+    determine the plane, the slope has the least norm. So a single sample gives a constant plane, and no sample gives
+    zero.
 
     Args:
         pattern: The sample pattern.

@@ -28,7 +28,8 @@ class Robot:
 
     The *reference point* is the origin of the core's coordinates. It must lie in the body, since distances measure
     the path of this point. A configuration is the position of the reference point, followed by the heading if the
-    body can turn: the angle by which the body is turned about the point, in radians counterclockwise.
+    body can turn. The heading is the angle, in radians counterclockwise, by which the body is turned about the
+    reference point.
 
     A new shape is a subclass that sets the three attributes. Robots of equal shape must be equal and have the same
     hash, as frozen dataclasses do.

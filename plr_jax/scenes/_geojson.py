@@ -150,10 +150,10 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
-    """Return the workspace whose obstacles, or whose free space, are the polygons ``shapes``.
+    """Return a workspace made of the polygons ``shapes``: its obstacles, or its free space if ``polygons`` is "free".
 
-    If ``bounds`` is None, the bounds are the bounding box of the polygons. A warning tells if coordinates look like
-    degrees.
+    If ``bounds`` is None, the bounds are the bounding box of the polygons. ``squeeze`` says whether paths may pass
+    between obstacles that touch in a point. A warning tells if coordinates look like degrees.
     """
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")

@@ -263,7 +263,8 @@ def read_cost_map(
 
     Occupied cells are blocked. If all other cells are free or unknown, the usual costs around obstacles are added by
     ``read_cost_map(path).inflated(inscribed_radius)``. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF.
+    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF. ``interpolation`` is as
+    for :class:`RasterCost`.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF

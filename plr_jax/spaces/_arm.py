@@ -108,10 +108,10 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1``, ``(n, joints)``, are proven free all the way.
 
-        A motion that comes close to a wall may not be proven free. Close means about 1e-3 of the length of the path
-        of the arm's tip.
+        Each joint turns the shorter way. A motion that comes close to a wall may not be proven free. Close means
+        about 1e-3 of the length of the path of the arm's tip.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)

@@ -32,10 +32,10 @@ class ClearanceSpace:
     prove a box free or blocked. Proofs hold only if the constants ``lipschitz`` are right. If clearances contradict
     the constants, an error names constants that would fit. Invalid arguments raise ``ValueError``.
 
-    Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
-    joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of float32 or float64 are
-    allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
+    Constants follow from geometry. A distance changes no faster than the points of the robot move. A turn of a joint
+    by one radian moves a point by at most the point's distance from the joint. For the minimum of several clearances,
+    take the largest of their constants along each axis. Smaller constants prove larger boxes. Rounding errors of
+    float32 or float64 are allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
@@ -92,11 +92,11 @@ class ClearanceSpace:
         return free
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions are proven free all the way; periodic axes take the short way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
-        The proof needs a clearance above about ``c / 1000`` all along the motion. Here, ``c`` is the largest change
-        of the clearance along the motion that ``lipschitz`` allows. Clearances that contradict ``lipschitz`` raise
-        ``ValueError``.
+        Along periodic axes, motions go the short way. The proof needs a clearance above about ``c / 1000`` all along
+        the motion. Here, ``c`` is the largest change of the clearance along the motion that ``lipschitz`` allows.
+        Clearances that contradict ``lipschitz`` raise ``ValueError``.
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)

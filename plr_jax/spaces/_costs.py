@@ -153,8 +153,9 @@ def cost_bounds(
 ) -> tuple[Rates, Rates, Pulls | None]:
     """Return lower and upper bounds of the cost factor over boxes, and pulls for a ``DirectionalCost`` (else None).
 
-    *Pulls* are two vectors per box, ``(2, n, dof)``. A motion ``dq`` in a box costs its ``motion_cost`` times a
-    factor within the bounds, plus the larger of the scalar products of ``dq`` with the box's two pulls.
+    The boxes have corners ``lo`` and ``hi``. *Pulls* are two vectors per box, ``(2, n, dof)``. The cost of a motion
+    ``dq`` in a box is a sum. The first term is its ``motion_cost`` times a factor within the bounds. The second term
+    is the larger of the scalar products of ``dq`` with the box's two pulls.
     """
     # 1. Bounds that hold in all directions.
     bounds = cost_map.bounds(lo, hi)

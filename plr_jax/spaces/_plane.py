@@ -85,7 +85,10 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
-    """The base class of the configuration spaces of one robot; it tests configurations and motions in a workspace."""
+    """The base class of the configuration spaces of one robot in a workspace.
+
+    It tests whether configurations and motions are free.
+    """
 
     workspace: Workspace
     robot: Robot
@@ -99,10 +102,10 @@ class BodySpace:
         return self.are_free(q, q)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Return whether straight motions, turning the shorter way, are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
-        The answer is exact for a point or disc. For other bodies, a turn may not be proven free if it comes nearer to
-        a wall than about 1e-7 of the robot's size.
+        Headings turn the shorter way. The answer is exact for a point or disc. For other bodies, a turn may not be
+        proven free if it comes nearer to a wall than about 1e-7 of the robot's size.
         """
         q0, q1 = as_motions(q0, q1, self.robot.dof)
         free = np.isfinite(q0 + q1).all(axis=1)

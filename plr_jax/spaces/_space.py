@@ -127,7 +127,7 @@ class ConfigurationSpace(FreeTest, Protocol):
         ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions between configurations ``(n, dof)`` are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1``, ``(n, dof)``, are proven free all the way.
 
         All axes change in proportion. Periodic axes take the short way; at exactly half a period, the space chooses
         one of the two ways. The result is False where an end is not finite.

@@ -31,8 +31,8 @@ class VoxelSpace:
     A point cannot pass between two blocked voxels that share only an edge or corner: free voxels are connected
     through faces. For a point, all answers are exact. A ball may come nearer to blocked voxels than its radius, by
     the ``tolerance``. For a ball, a box of positions is proven blocked only if one blocked voxel is too near to all
-    positions in it; other blocked boxes are MIXED. ``ValueError`` is raised if an argument is invalid, no voxel is
-    free, or voxels are too small for the precision of coordinates.
+    positions in the box. All other blocked boxes are MIXED. ``ValueError`` is raised if an argument is invalid, no
+    voxel is free, or voxels are too small for the precision of coordinates.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
@@ -119,7 +119,7 @@ class VoxelSpace:
         return state
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Return whether straight motions are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
         A point may change from one free voxel to another only through faces. A motion within faces or along edges of
         voxels is free if a path through the voxels beside it is free.

@@ -36,7 +36,7 @@ MAX_LATTICE = 2**8
 def margin(shape: Shape, dtype: Any) -> float:
     """Return how far points that are moved into a cell stay from the cell's sides, in cell sides.
 
-    The margin is 32 rounding errors of a coordinate.
+    The margin is 32 rounding errors, of type ``dtype``, of the largest coordinate in a grid of the given ``shape``.
     """
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
@@ -133,10 +133,11 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     """Return a table of the cells that segments cross, as packed bits.
 
     The segments end at each inner corner of the grid (see :func:`lattice`). They start at each inner corner, or with
-    ``from_centers`` at each cell's center. A segment through a third corner counts as crossing all four cells there:
-    if one of them is blocked, a path that bends at this corner is equally long. A segment along a grid line counts as
-    crossing only the cells on its left. So two corners on the line see each other if the segment is free in one of
-    its two directions.
+    ``from_centers`` at each cell's center.
+
+    A segment through a third corner counts as crossing all four cells there. If one of these cells is blocked, a path
+    that bends at this corner is equally long. A segment along a grid line counts as crossing only the cells on its
+    left. So two corners on the line see each other if the segment is free in one of its two directions.
 
     Number the cells row by row, ``row * columns + column``. Cell ``32 * w + i`` is bit ``i`` of the word at ``[w,
     start, end]``.

@@ -185,9 +185,10 @@ MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than c
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
-    """Return path lengths on the 8-connected grid, by rounds that relax all cells at once.
+    """Return the path length from each cell to the nearest cell of ``start``, on the 8-connected grid.
 
-    The unit is the length of a step between cells that share a side.
+    Rounds relax all cells at once. The unit of length is a step between cells that share a side. ``inf`` without a
+    path.
     """
     # Arrays have a rim of one cell, which no path reaches: `at` is the grid, moved by a step.
     h, w = free.shape

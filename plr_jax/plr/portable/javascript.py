@@ -194,8 +194,9 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     """Return the lines of the JavaScript function ``leaf``, which returns the row of parameters of a point's leaf.
 
-    The function reads the point's position from the array ``place``. If ``of_cells``, it also finds the leaf's cell:
-    along each axis, ``count`` is the number of such cells in the domain, and ``cell`` the index of the leaf's cell.
+    The function reads the point's position from the array ``place``. If ``of_cells``, it also finds the leaf's cell.
+    Then, for each axis, ``count`` is the number of such cells along the domain, and ``cell`` the index of the leaf's
+    cell.
     """
     # `place` has the next bit of the position along each axis as its highest bit. For `of_cells`, `count` is the
     # number of cells like the current one along each axis of the domain, `cell` its index among these.

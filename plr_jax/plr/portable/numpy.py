@@ -112,9 +112,11 @@ def point_query(
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
     ``numbers`` are the parameters of all leaves. The function returns the distance (``inf`` outside the domain), or
-    with ``of_leaf`` the leaf's index (-1 outside). It returns None if only a query of arrays can answer. This happens
-    if the point must be moved along a periodic axis, if it has NaN and no coordinate outside the domain, or if
-    rounding decides whether it is inside.
+    with ``of_leaf`` the leaf's index (-1 outside). It returns None if only a query of arrays can answer:
+
+    - The point must be moved along a periodic axis.
+    - A coordinate is NaN, and no other coordinate is outside the domain.
+    - Rounding decides whether the point is inside the domain.
     """
     # For example, for planes in the unit square:
     #
@@ -188,20 +190,22 @@ def point_query(
 class NumpyPLR:
     """A PLR that is queried without JAX; made by :func:`load_numpy` or :meth:`PLR.numpy`.
 
-    ``f(x)`` is the distance at points ``(..., dim)``. Points are rounded to 32 bits; before that, 64-bit points are
-    moved into the domain along periodic axes and, in a domain far from the origin, made relative to its lower corner.
+    ``f(x)`` is the distance at points ``(..., dim)``. Points are rounded to 32 bits. Before that, 64-bit points are
+    moved into the domain along periodic axes. In a domain far from the origin, points are also made relative to its
+    lower corner.
 
     Answers equal the answers of C headers (:meth:`PLR.c_header`) bit for bit. On a CPU, they equal ``plr(x)`` bit for
     bit, except for numbers below 1e-38. With ``jax_enable_x64``, ``plr(x)`` computes in 64 bits for 64-bit points, so
     that answers differ by the rounding of this class.
 
     A single point, as a tuple, list or array, takes a few microseconds, and so does each point of an array of at most
-    eight points. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Bounds, points that
-    must be moved along periodic axes, and points outside the domain with ``outside`` other than ``"inf"`` take up to
-    a few hundred microseconds per call.
+    eight points. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Some queries take up
+    to a few hundred microseconds per call: bounds, points that must be moved along periodic axes, and points outside
+    the domain with ``outside`` other than ``"inf"``.
 
     ``dim``, ``domain``, ``num_leaves`` and ``max_error`` equal the attributes of the :class:`PLR`. Answers are
-    float32, except that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
+    float32, except that waypoints in a domain far from the origin are float64, and :meth:`which` and :meth:`leaf`
+    return integers.
     """
 
     def __init__(self, data: bytes):

@@ -176,8 +176,10 @@ class WorstFirst:
 
         ``oracles`` has one distance function per goal; all are of one workspace. The sources of a leaf are the
         corners (or the goal) to which shortest paths from the leaf may go first. They are listed for the leaves of
-        the first goal, then of the second goal, and so on. A goal gets None instead of a tree and cones if no path
-        leads to the goal, or if the limits are too narrow for the equal boxes into which the domain is cut first.
+        the first goal, then of the second goal, and so on.
+
+        In two cases, a goal gets None instead of a tree and cones. Either no path leads to the goal. Or the limits
+        are too narrow for the equal boxes into which the domain is cut first.
         """
         # 1. Cut the domain into equal boxes, along x and y in turn. Each box is a node of each goal's tree. Sources
         # of all goals are numbered one goal after the other, `num_sources` for each goal.
