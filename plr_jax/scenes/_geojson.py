@@ -150,9 +150,9 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
-    """Return a workspace made of the polygons ``shapes``: its obstacles, or its free space if ``polygons`` is "free".
+    """Return a workspace with the obstacles ``shapes``; if ``polygons`` is "free", ``shapes`` are the free space.
 
-    If ``bounds`` is None, the bounds are the bounding box of the polygons. ``squeeze`` says whether paths may pass
+    If ``bounds`` is None, the bounds are the bounding box of ``shapes``. ``squeeze`` says whether paths may pass
     between obstacles that touch in a point. A warning tells if coordinates look like degrees.
     """
     if polygons not in ("obstacles", "free"):

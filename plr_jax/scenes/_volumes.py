@@ -243,7 +243,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
 def _outlines(edges: Edges) -> Edges:
     """Return nine segments for each triangle whose three edges were clipped to a layer of voxels.
 
-    They are the clipped edges, three segments that join the begins of the edges, and three that join their ends.
+    Three are the clipped edges, three join the first ends of these edges, and three join their second ends.
     """
     #     ends   o------o   ceiling    Each of the three edges is joined to the next, so all pairs are joined. The
     #           /        \             segments are the outline of the piece, or lie inside it, since it is convex.

@@ -27,9 +27,10 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, " n"]) -> Booleans:
-    """Return whether the clearance of each point, its signed distance to walls, is at most the point's radius.
+    """Return whether the clearance of each point is at most the point's radius.
 
-    For radii of at most 0, all points of free space count as farther than the radius, even if they are on a wall.
+    Clearance is the signed distance to walls, negative in obstacles. For radii of at most 0, points of free space
+    count as farther than the radius, even if they are on a wall.
     """
     # Most points are in free space and have a negative radius. For these, no distance is computed.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)

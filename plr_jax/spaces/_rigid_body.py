@@ -161,7 +161,7 @@ class RigidBodySpace(BodySpace):
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
         """A point deep inside the polygon ``robot.core``, and its distance to the nearest side of the polygon.
 
-        If the core is a point or a segment, it is the core's middle, with distance 0.
+        If the core is a point or a segment, the point is the core's middle, and the distance is 0.
         """
         core = self.robot.core
         if len(core) < 3:

@@ -120,7 +120,7 @@ def grid_distance(
             bend. Maps with more corners give NaN, and ``is_complete`` is false. Time and memory grow with the square
             of this number; without a goal, time grows with its cube. It is at most 4,096. Default: the number of
             cell corners inside the grid, ``(h - 1) * (w - 1)``, if this is at most 256 (17 x 17 cells), else half
-            of it.
+            of this number.
     """
     mask = _as_mask(free)
     h, w = mask.shape

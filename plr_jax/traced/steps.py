@@ -76,7 +76,7 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
 class Steps:
     """A table of the path length from each cell to the goal's cell.
 
-    A point on the border of several cells has the least length of these cells.
+    A point on the border of several cells counts as in the cell of least length.
     """
 
     table: Float[Array, "*maps h w"]
@@ -99,7 +99,7 @@ class Steps:
 class StepPairs:
     """A table of the path length between any two cells.
 
-    A point on the border of several cells counts as in whichever of them gives the least length.
+    A point on the border of several cells counts as in the cell that gives the least length.
     """
 
     table: Float[Array, "*maps h w h w"]

@@ -173,8 +173,8 @@ class TiedPartition:
 class StoredValues:
     """The degrees of freedom of a continuous function, quantized as in a file: ``offset + step * code``.
 
-    A degree of freedom is the function's value at a corner of leaves. Corners whose value is interpolated from an
-    adjacent leaf have none. The derivatives of a smooth function follow from its values.
+    A degree of freedom is the function's value at a corner of leaves. A corner inside a face of a larger leaf has no
+    degree of freedom: its value is interpolated. The derivatives of a smooth function follow from its values.
     """
 
     partition: TiedPartition
@@ -282,7 +282,7 @@ class _Rounds:
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
-        """Return the indices of the leaves to split next, and their split axes; both arrays are empty if none is."""
+        """Return the leaves to split next (as indices) and their split axes; both arrays are empty if growth ends."""
         fit, limits = now.fit, self._limits
         # 1. Estimate how many splits the limits allow, if the file grows in proportion to the leaves. For continuous
         # leaves, count it with a doubled step, which saves one bit per value. Smooth leaves need the finer step.
