@@ -88,9 +88,9 @@ class DirectionalCost(CostMap, Protocol):
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
         """Bound the cost of all motions in each box, by constants for the box.
 
-        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most ``most * |dq| +
-        max(a . dq, b . dq)``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain
-        along periodic axes.
+        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most
+        ``most * |dq| + max(a . dq, b . dq)``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend
+        beyond the domain along periodic axes.
 
         If ``least <= most / 4`` or ``least - d <= most / 50``, the pulls are too loose, and :meth:`bounds` is used in
         this box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.

@@ -139,8 +139,8 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     that bends at this corner is equally long. A segment along a grid line counts as crossing only the cells on its
     left. So two corners on the line see each other if the segment is free in one of its two directions.
 
-    Number the cells row by row, ``row * columns + column``. Cell ``32 * w + i`` is bit ``i`` of the word at ``[w,
-    start, end]``.
+    Number the cells row by row, ``row * columns + column``. Cell ``32 * w + i`` is bit ``i`` of the word at
+    ``[w, start, end]``.
     """
     # The ends move towards each other by a small share, the nudge, of the segment's length:
     #   +---+---b---+       The cells below and left of a, and above and right of b, do not count as crossed. A corner

@@ -33,9 +33,9 @@ _WIDTH_BITS = 6  # bits in which the file states a bit width of ``half``
 class StoredPlanes:
     """The planes (affine functions) of all leaves, with the integers of a file.
 
-    Let ``u`` be the position in a leaf, from -1 to 1 along each axis. The leaf's value is ``offset + step * (center +
-    half . u)``. If ``bits`` is 32, ``center`` and ``half`` are the bits of 32-bit floats instead; with these floats,
-    the value is ``center + half . u``.
+    Let ``u`` be the position in a leaf, from -1 to 1 along each axis. The leaf's value is
+    ``offset + step * (center + half . u)``. If ``bits`` is 32, ``center`` and ``half`` are the bits of 32-bit floats
+    instead; with these floats, the value is ``center + half . u``.
     """
 
     bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
