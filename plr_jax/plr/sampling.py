@@ -29,9 +29,10 @@ _FINE_DEPTH = 5  # halvings along each axis after which a cell is small enough t
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """The places of samples in every cell, in local coordinates ``u`` from -1 to 1 across the cell, and weights.
+    """The positions and weights of the samples in a cell, the same for all cells.
 
-    The first sample is the center. Samples may also lie beyond the cell.
+    Positions are local coordinates ``u``, from -1 to 1 across the cell along each axis. The first sample is the
+    center. Samples may also lie beyond the cell.
     """
 
     u: Float[np.ndarray, "k dim"]
@@ -51,7 +52,10 @@ class Pattern:
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Matrix from sample values to their least-squares plane: center value, half of its rise along each axis."""
+        """Matrix that maps sample values to their weighted least-squares plane.
+
+        A plane is its center value, then half of its rise across the cell along each axis.
+        """
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
@@ -82,7 +86,8 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     """Make a pattern of samples in a cell: its center, points inside and points on its faces.
 
     The corners are samples, too, if they are at most 1/4 of all samples. About 1/3 of all samples are on faces, to
-    detect slivers of free space behind walls. Samples reach beyond the cell by ``margin`` times its width.
+    detect slivers of free space behind walls. With a ``margin`` above 0, samples are spread over a larger box, which
+    extends beyond the cell by ``margin`` times its width on every side.
     """
     rng = np.random.default_rng(seed)
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
@@ -122,7 +127,8 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     """Fit each cell's plane by weighted least squares, which gives small mean errors (Section III-A of the paper).
 
     The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
-    determine the plane, the slope has the least norm: a single sample gives a constant plane, no sample gives zero.
+    determine the plane, the slope has the least norm. So a single sample gives a constant plane, and no sample gives
+    zero.
 
     Args:
         pattern: The sample pattern.
@@ -173,18 +179,18 @@ class CellFit(Rows):
     Attributes:
         pattern: The sample pattern; its first sample is the center.
         max_axis_depth: Largest number of halvings of a cell along one axis.
-        reachable: Whether each sample reaches the goal, ``(cells, k)``.
+        reachable: Whether the goal can be reached from each sample, ``(cells, k)``.
         weight: Error weight of each sample (``weight_fn``, or 1); 0 where the goal cannot be reached.
         value: Sampled distance; 0 where the goal cannot be reached.
         center: Value of the plane at the cell's center; ``inf`` for a cell without a sample that reaches the goal.
         half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
-        urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for others.
-            A cell is urgent for one of two reasons. It holds points that reach the goal, and cut-off points (free
-            points that cannot) far from all of these: see :class:`Reach`. Or few samples of the cell reach the goal,
-            and only a small part of the domain does.
-        is_cut_off: Whether each cell holds free points that cannot reach the goal, and no point that can.
+        urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for other
+            cells. A cell is urgent in two cases. Case 1: it holds points that reach the goal, and, far from all such
+            points, free points that do not (see :class:`Reach`). Case 2: few samples of the cell reach the goal, and
+            only a small part of the domain does.
+        is_cut_off: Whether each cell holds free points that do not reach the goal, and no point that does.
     """
 
     cells: Cells
@@ -286,9 +292,9 @@ class Sampler:
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
 
-        There are two exceptions without an error. The cell is *urgent* (see :class:`CellFit`), so splits will find
-        points that reach the goal. Or ``pieces_suffice`` is True, and the oracle knows free space from which the goal
-        can be reached.
+        There is no error in two cases. Case 1: the cell is *urgent* (see :class:`CellFit`), so that splits will find
+        points that reach the goal. Case 2: ``pieces_suffice`` is True, and the oracle knows free space that reaches
+        the goal.
         """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
@@ -303,8 +309,8 @@ class Sampler:
     def first_cells(self, most: int) -> CellFit:
         """Sample the domain as one cell, then halve *urgent* cells, whose samples do not show their error.
 
-        The largest urgent cells come first, until no cell is urgent (see :class:`CellFit`) or there are ``most``
-        cells. ``ValueError`` if no sample of these cells reaches the goal.
+        Of the urgent cells (see :class:`CellFit`), the largest are halved first, until no cell is urgent or there are
+        ``most`` cells. ``ValueError`` if no sample of the resulting cells reaches the goal.
         """
         fit = self.root()
         while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):
@@ -325,9 +331,9 @@ def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
 def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.ndarray, " cells"]:
     """Return the axis along which to halve each cell that passes the test ``holds``; -1 for other cells.
 
-    It is the axis along which the fewest of the two halves pass the test. Of several such axes, it is the one along
-    which the cell is longest, in fractions of the domain. Axes that :func:`is_closed` excludes are not chosen, except
-    axis 0 if all are excluded.
+    ``holds(lo, hi)`` tests boxes, given in fractions of the domain. The axis is the one along which the fewest of the
+    two halves pass the test. Among several such axes, it is the one along which the cell is longest, in fractions of
+    the domain. An axis that :func:`is_closed` excludes is not chosen; if all are excluded, axis 0 is.
     """
     axis = np.full(len(cells), -1)
     passing = np.flatnonzero(holds(*cells.fractions))
@@ -343,9 +349,9 @@ def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.nda
 
 
 def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:
-    """Return whether each axis is excluded from halving a cell, as long as another axis is not.
+    """Return, for each cell and axis, whether the axis is closed: the cell should not be halved along it.
 
-    It is excluded if the cell was halved ``max_axis_depth`` times along it, or ``MAX_ASPECT_BITS`` times more than
+    An axis is closed if the cell was halved ``max_axis_depth`` times along it, or ``MAX_ASPECT_BITS`` times more than
     along another axis. ``depth`` has the number of halvings of each cell along each axis.
     """
     return (depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS) | (depth >= max_axis_depth)
@@ -354,7 +360,8 @@ def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     """Give planes to the cells in which free space, but no sample, reaches the goal; return the changed fit.
 
-    Each plane is tangent to the distance at a point of the free space. All other cells keep their planes.
+    Each plane is tangent to the distance at a point of the free space. All other cells keep their planes. Without
+    ``sampler.cache``, nothing changes.
     """
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.cache is None or not len(unseen):
@@ -400,7 +407,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
 
 
 def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
-    """Return the weights of samples; in a cell where all are 0, return 1 for each sample that reaches the goal."""
+    """Return the weights of samples; in a cell whose weights are all 0, each sample that reaches the goal gets 1."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 
@@ -417,7 +424,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, " n"]:
     """Return, for each folded point ``z``, the largest weight of all points of the domain that mirrors map to ``z``.
 
-    It is 0 if there is no such point. Without a ``weight_fn``, all points have weight 1.
+    The result is 0 if no point of the domain is mapped to ``z``. Without a ``weight_fn``, all points have weight 1.
     """
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):

@@ -13,9 +13,10 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class SourceCache:
-    """A cache of the sources of cells, from which the sources of their halves are computed.
+    """A cache of the *sources* of cells: corners (or the goal) to which shortest paths from a cell may go first.
 
-    ``root`` has the sources of the whole domain. Sources are the corners to which shortest paths may go first.
+    The sources of a cell's half are computed from the sources of the cell. ``root`` has the sources of the whole
+    domain.
     """
 
     def __init__(self, domain: Box, root: CellSources) -> None:
@@ -26,7 +27,11 @@ class SourceCache:
         self.remember(Cells.root(2), root)
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
-        """Add cells to the cache. ``visible`` has their sources, the corners to which paths may go first."""
+        """Add cells and their sources to the cache.
+
+        ``visible`` has the sources of each cell: the corners (or the goal) to which shortest paths from the cell may
+        go first.
+        """
         hashes = np.append(self._hashes, cells.hashes())
         part = np.full(len(cells), len(self._parts))
         place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
@@ -90,7 +95,8 @@ class SourceCache:
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
     """Return the exact distance to the goal at each point ``x[i, j]`` of cell ``i``; ``inf`` without a path.
 
-    ``visible`` has the free space of each cell, and the corners at which paths from it may turn first.
+    ``visible`` has the free space of each cell, and the corners (or the goal) to which shortest paths from the cell
+    may go first.
     """
     # 1. Find all pairs of a piece of free space and a point in it; the point is ``x[cell of the piece, column]``.
     distance = np.full(x.shape[:2], np.inf)

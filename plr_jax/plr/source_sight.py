@@ -50,8 +50,9 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
-        ``first`` has the source of each start's leaf. It stays if the path through it is free and reaches the goal.
-        Otherwise, the first source of the shortest free path to the goal replaces it, if there is such a path.
+        The starts are ``x``. ``first`` has the index of a source for each start: the source of its leaf. This source
+        stays if the path through it is free and reaches the goal. Otherwise, it is replaced by the first source of
+        the shortest free path to the goal, if there is a free path.
         """
         # 1. Test the given sources.
         is_free = self._is_clear[first] & self._sees(first, x)

@@ -25,7 +25,11 @@ class TableStack:
     bands: Bands  # arguments of :func:`bounds_of_tables` for a robot's lower bound; None for its distance
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's distance (or lower bound): its PLR at the leading coordinates of its configuration."""
+        """Return each robot's distance (or lower bound) at the joint configurations ``q``.
+
+        The PLR of a robot is evaluated at as many leading coordinates of the robot's configuration as the PLR has
+        dimensions.
+        """
         if q.ndim != 3 or q.shape[1] != len(self.plrs):
             raise ValueError(f"Joint configurations must have shape (n, {len(self.plrs)}, dof), got {q.shape}.")
         for i, plr in enumerate(self.plrs):
@@ -42,9 +46,10 @@ class TableStack:
         return distances.T
 
     def _answer(self, q: Float[np.ndarray, "n robots dof"]) -> tuple[Array, ...]:
-        """Return an array of distances (or lower bounds) for each robot, one entry per row of the padded ``q``.
+        """Return an array of distances (or lower bounds) for each robot, with one entry per joint configuration.
 
-        ``q`` is padded by zeros up to one of few batch sizes, so that few sizes are compiled.
+        ``q`` is first padded by zeros up to one of few batch sizes, so that few sizes are compiled. The arrays have
+        this padded length.
         """
         q = padded(q.astype(np.float64, copy=False), padded_size(len(q), _SIZES))
         pairs = [plr.tables_and_points(q[:, i, : plr.dim]) for i, plr in enumerate(self.plrs)]

@@ -15,7 +15,10 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 
 
 class Rows:
-    """A base class of dataclasses whose arrays have one row for each item; indexing selects rows of all arrays."""
+    """A base class of dataclasses whose arrays have one row for each item.
+
+    Indexing selects the same rows of all arrays.
+    """
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -94,18 +97,18 @@ class Cells(Rows):
         return total
 
     def split(self, axis: Int[np.ndarray, " cells"]) -> "Cells":
-        """Halve each cell along its axis; in the result, a cell's upper half follows its lower half."""
+        """Halve cell ``i`` along ``axis[i]``; in the result, a cell's upper half follows its lower half."""
         parent = np.repeat(np.arange(len(self)), 2)
         return self[parent].halves(axis[parent], np.arange(len(parent)) % 2 == 1)
 
     def halves(self, axis: Int[np.ndarray, " cells"], is_upper: Bool[np.ndarray, " cells"]) -> "Cells":
-        """Return one half of each cell along its axis: the upper half where ``is_upper``, else the lower half."""
+        """Return one half of each cell, cut along its ``axis``: the upper half where ``is_upper``, else the lower."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])
 
 
 def grown_domain(domain: Box) -> Box:
-    """Return a box that contains all points that a 32-bit query, by rounding, may assign to the domain."""
+    """Return a box that contains all points that a 32-bit query, by rounding, may take for points of the domain."""
     lo, hi = Cells.root(domain.dim).grown_boxes(domain)
     return Box(lo[0], hi[0])
 
@@ -196,9 +199,9 @@ def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
 
 
 def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
-    """Return the leaves of a tree in the order of a traversal from left to right.
+    """Return the indices of a tree's leaves in the order of a traversal from left to right.
 
-    ``axes`` has an array of split axes for each level; -1 marks a leaf. Leaves are numbered level by level.
+    ``axes`` has an array of split axes for each level; -1 marks a leaf. Leaves are counted level by level.
     """
     # A leaf's path from the root, one bit for each split from the highest bit down, 1 for the upper half, sorts them.
     paths, path = [], np.zeros(1, np.int64)  # of the leaves above a level, and of each node of the level
@@ -209,5 +212,5 @@ def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Return the corners of the unit cube in binary order, one in each row."""
+    """Return the corners of the unit cube, one per row, as bits in binary order: the last axis varies fastest."""
     return np.array(list(product((0, 1), repeat=dim)))

@@ -26,10 +26,13 @@ Moments: TypeAlias = Float[np.ndarray, " n"]
 class Robot:
     """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
 
-    The *reference point* is the origin of the core's frame and must lie in the body, since distances measure the path
-    of this point. A configuration is the position of this point, followed by the heading if the body can turn: the
-    angle by which it is turned about the point. A new shape is a subclass that sets the three attributes. Robots of
-    equal shape must be equal and have the same hash, as frozen dataclasses do.
+    The *reference point* is the origin of the core's coordinates. It must lie in the body, since distances measure
+    the path of this point. A configuration is the position of the reference point, followed by the heading if the
+    body can turn. The heading is the angle, in radians counterclockwise, by which the body is turned about the
+    reference point.
+
+    A new shape is a subclass that sets the three attributes. Robots of equal shape must be equal and have the same
+    hash, as frozen dataclasses do.
 
     Attributes:
         rounding: Radius by which the core is rounded, in workspace units, at least 0.
@@ -43,7 +46,10 @@ class Robot:
 
     @cached_property
     def inscribed_radius(self) -> float:
-        """Radius of the largest disc around the reference point in the body; negative if that point is outside."""
+        """Radius of the largest disc around the reference point in the body.
+
+        If the reference point is outside the body, the result is minus its distance from the body.
+        """
         core = self.core
         if len(core) > 2 and (depth := side_offsets(core, np.zeros((1, 2))).min()) >= 0:
             return self.rounding + float(depth)
@@ -75,7 +81,7 @@ class Robot:
 def check_body(name: str, robot: Robot) -> None:
     """Raise a ``ValueError`` unless a robot's core is convex and counterclockwise, and its body holds the origin.
 
-    The origin of the core's frame is the robot's reference point. ``name`` begins the message.
+    The origin of the core's coordinates is the robot's reference point. The error message begins with ``name``.
     """
     core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
@@ -97,8 +103,8 @@ def check_body(name: str, robot: Robot) -> None:
 def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
     """Return the signed distance of each point ``x[j]`` to the line of each side ``i`` of a polygon, ``(k, n)``.
 
-    Side ``i`` leads from vertex ``i`` to the next one. Distances are positive to its left: inside, if the vertices
-    are counterclockwise.
+    Side ``i`` leads from vertex ``i`` to the next vertex. Distances are positive on the left of the side: on the
+    inside, if the vertices are counterclockwise.
     """
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
@@ -110,14 +116,17 @@ def team_dof(robots: Sequence[Robot]) -> int:
 
 
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the signed shorter turns between headings, positive counterclockwise; half a turn counts as positive."""
+    """Return the shorter turns from headings ``theta0`` to ``theta1``, in radians, positive counterclockwise.
+
+    Half a turn counts as positive.
+    """
     # turns - ceil(turns - 1/2) lies in (-1/2, 1/2], so half a turn is positive.
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
 
 
 def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the angles between headings, from 0 to pi; they satisfy the triangle inequality."""
+    """Return the angles between headings, in radians from 0 to pi; they satisfy the triangle inequality."""
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * np.abs(turns - np.rint(turns))
 
@@ -125,17 +134,20 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
 def between(
     q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Return the configurations at fractions ``t``, from 0 to 1, of straight motions, which turn the shorter way."""
+    """Return the configurations at fractions ``t``, from 0 to 1, of straight motions from ``q0`` to ``q1``.
+
+    Headings turn the shorter way.
+    """
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
 
 
 def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return, for each time ``when``, the rows of a path before and after it, and the fraction of the way between.
+    """Return, for each time in ``when``, the indices of the waypoints before and after it, and the fraction between.
 
-    Row ``i`` of the path is reached at ``times[i]``, in nondecreasing order. A time outside the path counts as the
-    nearer end of it.
+    A path reaches its waypoint ``i`` at ``times[i]``, in nondecreasing order. Earlier times count as the first time,
+    later times as the last. The fraction is the share of the time from the waypoint before to the waypoint after.
     """
     # A time at the end belongs to the last motion. A path of one row has no motion: both rows are its only row.
     last = len(times) - 1

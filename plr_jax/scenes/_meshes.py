@@ -33,7 +33,8 @@ Triangles: TypeAlias = Float[np.ndarray, "triangles 3 3"]
 def read_mesh(path: Path) -> Triangles:
     """Read the faces of a mesh as triangles, ``(triangles, 3 corners, 3 coordinates)``.
 
-    The file's ending tells its format. ``ValueError`` is raised if the file is no mesh, too large or damaged.
+    The file must end in ``.stl``, ``.obj`` or ``.ply``; the ending tells the format. ``ValueError`` is raised if the
+    file is no such mesh, too large or damaged.
     """
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
@@ -51,9 +52,9 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def triangulated(polygons: Polygons) -> Triangles:
-    """Cut plane polygons in space, ``(n, corners, 3)``, into triangles, ``(triangles, 3, 3)``.
+    """Cut plane polygons in space, ``(n, corners, 3)``, into triangles, ``(triangles, 3 corners, 3 coordinates)``.
 
-    Polygons may be concave, and outlines may touch themselves. If an outline crosses itself, the regions that it
+    Polygons may be concave, and an outline may touch itself. If an outline crosses itself, the regions that it
     encloses are cut into triangles. An outline that encloses nothing gives triangles without area.
     """
     if polygons.shape[1] == 3:

@@ -71,9 +71,9 @@ class Scenario:
     Attributes:
         map_name: Name of the map, as given in the file.
         starts, goals: Points, ``(n, 2)``, as in the file: the corner of each cell with the least ``x`` and ``y``. Add
-            0.5 for the cell's center in the coordinates of :func:`read_map`. Without it, the points still select the
-            right cells of a :class:`GridGraph` of :func:`read_cells`. In the closed free space, shortest paths
-            between these corners may be shorter than between centers.
+            0.5 for the cell's center in the coordinates of :func:`read_map`. For a :class:`GridGraph` of
+            :func:`read_cells`, the corners already select the right cells. In the closed free space, shortest paths
+            between corners may be shorter than between centers.
         octile_lengths: Published lengths of shortest paths on the 8-connected grid, ``(n,)``, rounded to about six
             digits. Apart from rounding, a Euclidean shortest path is never longer.
     """

@@ -134,7 +134,10 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
 
 
 def _require_limits(picture: "Image", num_bytes: int) -> None:
-    """Raise a ``ValueError`` if a picture has too many pixels to decode, in all or for its file's ``num_bytes``."""
+    """Raise a ``ValueError`` if a picture has too many pixels to decode, in all or per byte of its file.
+
+    ``num_bytes`` is the size of the file.
+    """
     size = f"{picture.width:,} x {picture.height:,}"
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES_PER_PIXEL.get(picture.mode, 4) > _MOST_DECODED:
@@ -149,8 +152,9 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 def _require_plain(picture: Any, numbers: bool) -> None:
     """Raise a ``ValueError`` if Pillow does not decode the lightness or opacity of a picture reliably.
 
-    In PNG files of 2 or 4 bits, Pillow scales gray pixels to 8 bits, but not the gray that counts as transparent:
-    this function scales ``picture.info["transparency"]`` in place.
+    In PNG files with 2 or 4 bits per pixel, one gray level may stand for transparent pixels. Pillow scales the pixels
+    to 8 bits, but not this level: this function scales ``picture.info["transparency"]`` in place. If ``numbers``, the
+    error message is for a reader of costs.
     """
     # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black.
     tags = getattr(picture, "tag_v2", None)
@@ -213,8 +217,9 @@ def read_map_server(
 ) -> Workspace:
     """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in meters.
 
-    The occupancy of a pixel is ``1 - lightness``, or its lightness if ``negate`` is set. A pixel is free below
-    ``free_thresh``, occupied above ``occupied_thresh``, and unknown between. The mode decides about transparency:
+    The occupancy of a pixel is ``1 - lightness``, with lightness from 0 (black) to 1 (white). If ``negate`` is set,
+    it is the lightness itself. A pixel is free below ``free_thresh``, occupied above ``occupied_thresh``, and unknown
+    between. The ``mode`` changes how pixels are read:
 
     - ``trinary``: in a picture with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS
       and in Nav2 up to Jazzy.
@@ -229,7 +234,8 @@ def read_map_server(
     obstacles; other arguments are as for :func:`read_image`. ``ValueError`` is raised if the file is not such a map,
     its picture is damaged or too large, or nothing is free.
 
-    References: http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
+    References: http://wiki.ros.org/map_server;
+    https://docs.nav2.org/configuration/packages/configuring-map-server.html.
     """
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path) as file:
@@ -255,9 +261,10 @@ def read_cost_map(
       that are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
     - ``raw``: the percentages in the pixels, without thresholds.
 
-    Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
-    adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF.
+    Occupied cells are blocked. If all other cells are free or unknown, the usual costs around obstacles are added by
+    ``read_cost_map(path).inflated(inscribed_radius)``. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
+    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF. ``interpolation`` is as
+    for :class:`RasterCost`.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
@@ -330,7 +337,7 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
 def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
     """Return the numbers of a TIFF tag, or ``default`` if there is no such tag.
 
-    ``ValueError`` is raised unless they are finite and as many as in ``default``.
+    ``ValueError`` is raised unless the numbers are finite and as many as in ``default``.
     """
     values = tags.get(tag, default)
     if not isinstance(values, tuple) or len(values) != len(default) or not np.isfinite(values).all():
@@ -408,7 +415,10 @@ class _MapServer:
         return self.cells(lambda occupancy: occupancy < self.free_thresh, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
+        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``, by mode and thresholds.
+
+        The values are 0 (free) to 100 (occupied), and -1 where unknown.
+        """
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":

@@ -39,7 +39,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
 def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
     """Return the problem with the start (``end`` 0) or goal (``end`` 1) of robot ``i`` moved to a random free place.
 
-    The place is at most ``distance`` away. The headings of robots that turn change too.
+    The new place is at most ``distance`` away, in workspace units. If the robot can turn, its heading changes, too.
     """
     # The square root makes the random positions uniform in the disc of radius `distance`.
     for _ in range(_ATTEMPTS):
@@ -98,7 +98,10 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
-    """Draw random centers for discs in a square of width ``side``, with gaps between discs and to the sides."""
+    """Draw random centers of discs in a square of width ``side``, with gaps between discs and to the sides.
+
+    The discs have radius 0.4; gaps are at least 0.05. ``ValueError`` if no positions are found.
+    """
     places = np.empty((0, 2))
     margin = _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):
@@ -133,14 +136,15 @@ def floor_plan() -> Problem:
 
 
 def single_door() -> Problem:
-    """A disc of radius 0.4 in two rooms, 10 x 10 in all, joined by a door 1.25 diameters wide."""
+    """A disc of radius 0.4 in two rooms, together 10 x 10, joined by a door 1.25 diameters wide."""
     return load(_FOLDER / "single_door.json")
 
 
 def four_rooms(num_robots: int) -> Problem:
     """Discs of radius 0.4 that change rooms through a shared center, with doors 1.25 diameters wide.
 
-    ``num_robots`` is 2 to 4, one per room, or 8, two per room; else ``ValueError``. Each goes to the opposite room.
+    ``num_robots`` is 2 to 4, one per room, or 8, two per room; else ``ValueError``. Each disc goes to the opposite
+    room.
     """
     return _team("four_rooms", num_robots, (2, 3, 4, 8))
 
@@ -156,7 +160,8 @@ def cross(num_robots: int) -> Problem:
 def tangle() -> Problem:
     """Two rectangles, 1.8 x 0.5, that swap places in a hallway with a bay on each side.
 
-    They can neither pass each other nor turn in the hallway. Each bay is too narrow and too shallow to park in.
+    The rectangles can neither pass each other nor turn in the hallway. Each bay is too narrow and too shallow to park
+    in.
     """
     return load(_FOLDER / "tangle.json")
 

@@ -52,8 +52,9 @@ def read_volume(
         pitch: Side of a voxel, in units of the mesh; for meshes only, which need it.
         bounds: For meshes, the box, or its corners, that the voxels fill from the lower corner on; the last voxels
             may extend beyond it. None: the bounding box of the mesh.
-        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through faces to
-            the border of the grid. A surface with holes wider than a voxel encloses nothing.
+        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through free
+            voxels and their faces to the border of the grid. A surface with holes wider than a voxel encloses
+            nothing.
 
     Raises:
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is
@@ -133,7 +134,8 @@ def _read_list(path: Path) -> Voxels:
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
     """Return which voxels no triangle meets. With ``fill``, voxels that the surface encloses are not free either.
 
-    Voxels are cubes of side ``pitch`` that fill ``bounds`` from its lower corner on. None: the box of the triangles.
+    Voxels are cubes of side ``pitch`` that fill the box ``bounds`` from its lower corner on. If ``bounds`` is None,
+    it is the bounding box of the triangles.
     """
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
@@ -161,8 +163,8 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
     """Set ``blocked`` to True, in place, in all voxels that meet a triangle; coordinates are in units of voxels.
 
     Each triangle is cut along the first axis into slabs that are one voxel thick, and each slab along the second axis
-    into rows. The outline of the piece in a row gives the range of its voxels along the third axis. The three axes
-    are sorted by the number of voxels first, so that ranges run along the longest axis.
+    into rows. In each row, the outline of the triangle's piece gives a range of voxels along the third axis. The axes
+    are sorted first, so that the third axis has the most voxels.
     """
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one farther away.")
@@ -192,10 +194,11 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]]:
-    """Yield all pairs of a polygon and a layer of voxels that it reaches, in batches of indices.
+    """Yield all pairs of a polygon and a layer of voxels that the polygon reaches.
 
-    Layers are numbered from 0 to ``size - 1`` along an axis. ``ends`` has the coordinates, along this axis, of both
-    ends of the polygons' edges, ``(2, edges, polygons)``.
+    Pairs come in batches: an array of polygon indices and an array of layer indices. Layers are one voxel thick, and
+    numbered from 0 to ``size - 1`` along an axis. ``ends`` has the coordinates, along this axis, of both ends of the
+    polygons' edges, ``(2, edges, polygons)``.
     """
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
@@ -204,7 +207,11 @@ def _split_into_layers(
 
 
 def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return the first layer that each polygon reaches, and how many layers it reaches; see `_split_into_layers`."""
+    """Return the first layer of voxels that each polygon reaches along an axis, and how many layers it reaches.
+
+    ``ends`` has the coordinates, along the axis, of both ends of the polygons' edges, ``(2, edges, polygons)``, in
+    voxels. Layers are numbered from 0 to ``size - 1``.
+    """
     # Layer k spans k to k + 1: a polygon from `lowest` to `highest` touches it if k + 1 >= lowest - _TOUCHES and
     # k <= highest + _TOUCHES. Edges that were clipped away are NaN, which `fmin` and `fmax` ignore.
     lowest = np.fmin.reduce(ends, axis=(0, 1))
@@ -215,9 +222,9 @@ def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.nd
 
 
 def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
-    """Clip the edges of each polygon to its layer of voxels along the first axis, and drop this axis.
+    """Clip the edges of polygon ``i`` to layer ``layer[i]`` of voxels along the first axis, and drop this axis.
 
-    An edge outside of the layer becomes NaN.
+    Edges have the shape ``(axes, begin and end, edges, polygons)``. An edge outside of the layer becomes NaN.
     """
     # The point begin + t * (end - begin) of an edge lies in the layer for t between `enters` and `leaves`, in either
     # order. An edge parallel to the layer lies in it as a whole or not at all: t is NaN, which `fmax` and `fmin`
@@ -234,9 +241,9 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return nine segments per clipped triangle: the three edges, and segments between their begins and their ends.
+    """Return nine segments for each triangle whose three edges were clipped to a layer of voxels.
 
-    Three segments join the begins of the edges, and three join their ends.
+    Three are the clipped edges, three join the first ends of these edges, and three join their second ends.
     """
     #     ends   o------o   ceiling    Each of the three edges is joined to the next, so all pairs are joined. The
     #           /        \             segments are the outline of the piece, or lie inside it, since it is convex.

@@ -32,10 +32,11 @@ Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 class PlanarArm:
     """The configuration space of a planar arm in a workspace: joint angles; motions cost their length in radians.
 
-    The first angle is measured from the x axis, each other angle from the previous link. Angles are counterclockwise
-    and modulo a full turn. A configuration is free if all links avoid obstacles and the outside of the bounds, up to
-    ``workspace.tolerance``, and on request one another. Classification of boxes is conservative, and tighter for
-    smaller boxes. An argument out of its range raises ``ValueError``.
+    The first angle is measured from the x axis, each other angle from the previous link. Angles are in radians,
+    counterclockwise and modulo a full turn. A configuration is free if all links avoid obstacles and the outside of
+    the bounds, up to ``workspace.tolerance``; with ``self_collision``, links must also avoid one another.
+    Classification of boxes is conservative (MIXED if in doubt), and tighter for smaller boxes. An argument out of its
+    range raises ``ValueError``.
 
     Args:
         lengths: Lengths of the links, ``(joints,)``, in workspace units, positive; one joint per link.
@@ -93,7 +94,7 @@ class PlanarArm:
         return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether configurations ``(n, joints)`` are free; False for those that are not finite."""
+        """Return whether configurations ``(n, joints)`` are free; False for configurations that are not finite."""
         q = as_points("q", q, self.dof)
         free = np.isfinite(q).all(axis=1)
         ends = self.forward(np.where(free[:, None], q, 0.0))
@@ -107,9 +108,10 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1``, ``(n, joints)``, are proven free all the way.
 
-        Motions that come closer to a wall than about 1e-3 of their length may not be proven free.
+        Each joint turns the shorter way. A motion that comes close to a wall may not be proven free. Close means
+        about 1e-3 of the length of the path of the arm's tip.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
@@ -146,7 +148,7 @@ class PlanarArm:
         return free
 
     def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
-        """Return which boxes of joint angles are proven free."""
+        """Return whether each box of joint angles, from ``center - half`` to ``center + half``, is proven free."""
         #     .---.___________         In a box, a link's ends stay in discs around their places at the center. The
         #    /     \          --.-.    radii, `reaches`, are the sum over joints of half width times largest distance.
         #   (   o=============( o )   A point between the ends moves no farther than the linear interpolation of both
@@ -167,7 +169,10 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
     def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
-        """Return which boxes of joint angles are proven to hold no free configuration."""
+        """Return whether each box of joint angles is proven to hold no free configuration.
+
+        The boxes reach from ``center - half`` to ``center + half``.
+        """
         # They hold none if a link crosses a wall wherever its ends are in their discs; if a wall is so near to a
         # point of a link that the link covers it wherever the point moves; or if two links surely overlap.
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
@@ -192,7 +197,7 @@ class PlanarArm:
 
     @cached_property
     def _link_pairs(self) -> list[tuple[int, int]]:
-        """Pairs of links, by index, that must not overlap: with ``self_collision``, all that are not neighbors."""
+        """Pairs of links, by index, that must not overlap: with ``self_collision``, all pairs of non-neighbors."""
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
     def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
@@ -201,9 +206,10 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound, for each pair of links, how far they move relative to each other in boxes of joint angles.
+        """Return, for each box of joint angles and pair of links, how far the links may move relative to each other.
 
-        The bound is for motions from the center of the box, whose half widths are ``half``.
+        The result is an upper bound, for motions from the box's center to any configuration in the box. ``half`` has
+        the half widths of the boxes.
         """
         # As seen from link i, only joints i + 1 to k move link k, and its end moves farthest.
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]

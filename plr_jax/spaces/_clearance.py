@@ -32,17 +32,17 @@ class ClearanceSpace:
     prove a box free or blocked. Proofs hold only if the constants ``lipschitz`` are right. If clearances contradict
     the constants, an error names constants that would fit. Invalid arguments raise ``ValueError``.
 
-    Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
-    joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of float32 or float64 are
-    allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
+    Constants follow from geometry. A distance changes no faster than the points of the robot move. A turn of a joint
+    by one radian moves a point by at most the point's distance from the joint. For the minimum of several clearances,
+    take the largest of their constants along each axis. Smaller constants prove larger boxes. Rounding errors of
+    float32 or float64 are allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
         clearance: Function of configurations ``(n, dof)`` that returns signed distances ``(n,)``, finite, in any
-            unit: at least 0 where free, negative where not, by the depth in an obstacle. It is called only within the
-            domain, with batches of varying size. If your distance is 0 inside obstacles, subtract a margin. A box is
-            then proven blocked only if ``lipschitz`` lets the clearance change by less than the margin in it.
+            unit: at least 0 where free, else minus the depth in an obstacle. It is called only within the domain,
+            with batches of varying size. If your distance is 0 inside obstacles, subtract a margin. Then a box is
+            proven blocked only if, in this box, ``lipschitz`` lets the clearance change by less than the margin.
         lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one for all.
         motion_cost: Cost of motions; by default their Euclidean length over all axes.
 
@@ -92,10 +92,11 @@ class ClearanceSpace:
         return free
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions are proven free all the way; periodic axes take the short way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
-        A motion along which the constants ``lipschitz`` allow the clearance to change by ``c`` is proven free only if
-        the clearance stays above about ``c / 1000``. Clearances that contradict ``lipschitz`` raise ``ValueError``.
+        Along periodic axes, motions go the short way. The proof needs a clearance above about ``c / 1000`` all along
+        the motion. Here, ``c`` is the largest change of the clearance along the motion that ``lipschitz`` allows.
+        Clearances that contradict ``lipschitz`` raise ``ValueError``.
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
@@ -104,7 +105,10 @@ class ClearanceSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
-        """Tell whether boxes are FREE, BLOCKED or MIXED; ``ValueError`` if clearances contradict ``lipschitz``."""
+        """Tell whether boxes of configurations are FREE, BLOCKED or MIXED; see :class:`CellState`.
+
+        ``ValueError`` if clearances contradict ``lipschitz``.
+        """
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
@@ -167,7 +171,10 @@ class ClearanceSpace:
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:
-        """Return clearances at configurations moved into the domain; ``ValueError`` if one is not finite."""
+        """Return the clearances at configurations, after moving these into the domain.
+
+        ``ValueError`` if a clearance is not finite.
+        """
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
         for part in batches(np.arange(len(q)), _BATCH):
@@ -202,7 +209,10 @@ class ClearanceSpace:
 
 
 def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:
-    """Advise how to raise Lipschitz constants so that a ``change`` of the configuration explains a ``difference``."""
+    """Return advice on larger Lipschitz constants, which allow the clearance to change by ``difference``.
+
+    ``change`` is the absolute change of the configuration along each axis.
+    """
     # The constants L explain the difference if sum over axes of L * change >= difference.
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):

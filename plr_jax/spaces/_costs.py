@@ -18,7 +18,11 @@ Rates: TypeAlias = Float[np.ndarray, " n"]
 
 
 def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise a ``ValueError`` about the first row that is not ``fine``: its values ``got``, and its place ``at``."""
+    """Raise a ``ValueError`` about the first index at which ``fine`` is False; do nothing if there is none.
+
+    The message says what was ``expected``. At this index, it shows the values of all arrays ``got``, and the
+    configurations of all arrays ``at``: a point, or both corners of a box.
+    """
     if not fine.all():
         i = int(fine.argmin())
         values = " and ".join(str(column[i].tolist()) for column in got)
@@ -44,7 +48,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes.
+        """Return positive lower and finite upper bounds of the factor, ``(n,)``, over boxes from ``lo`` to ``hi``.
 
         Boxes may extend beyond the domain along periodic axes.
         """
@@ -77,19 +81,19 @@ class DirectionalCost(CostMap, Protocol):
                     uphill = rate * gradient((lo + hi) / 2)
                     return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
-        For the travel time of a vehicle of speed 1 in a steady current ``w``, with ``a = 1 - |w|^2`` (Zermelo),
-        ``pulls`` returns ``-w / a`` twice, ``1 / sqrt(a)`` and ``1 / a``, each for every box.
+        For the travel time of a vehicle of speed 1 in a steady current ``w``, let ``s = 1 - |w|^2`` (Zermelo). Then
+        ``pulls`` returns ``-w / s`` twice, ``1 / sqrt(s)`` and ``1 / s``, each for every box.
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
         """Bound the cost of all motions in each box, by constants for the box.
 
-        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most the same with
-        ``most``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain along periodic
-        axes.
+        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most
+        ``most * |dq| + max(a . dq, b . dq)``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend
+        beyond the domain along periodic axes.
 
-        If ``least <= most / 4`` or ``least - d <= most / 50``, pulls are too loose, and :meth:`bounds` count in this
-        box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+        If ``least <= most / 4`` or ``least - d <= most / 50``, the pulls are too loose, and :meth:`bounds` is used in
+        this box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
 
         Returns:
             The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.
@@ -108,8 +112,8 @@ class LipschitzCost:
     Args:
         cost_fn: Function from configurations ``(n, dof)`` to the positive factor of the motion cost, ``(n,)``.
         lipschitz: Largest change of the factor per unit of Euclidean distance between configurations, at least 0.
-        least: Positive lower bound of the factor everywhere. It counts in boxes where the Lipschitz constant gives no
-            better bound.
+        least: Positive lower bound of the factor everywhere. In a box where the Lipschitz constant gives no better
+            bound, this bound is used.
     """
 
     cost_fn: Callable[[np.ndarray], ArrayLike]
@@ -149,8 +153,9 @@ def cost_bounds(
 ) -> tuple[Rates, Rates, Pulls | None]:
     """Return lower and upper bounds of the cost factor over boxes, and pulls for a ``DirectionalCost`` (else None).
 
-    *Pulls* are two vectors per box, ``(2, n, dof)``. A motion ``dq`` in a box costs its ``motion_cost`` times a
-    factor within the bounds, plus the larger of the scalar products of ``dq`` with the box's two pulls.
+    The boxes have corners ``lo`` and ``hi``. *Pulls* are two vectors per box, ``(2, n, dof)``. The cost of a motion
+    ``dq`` in a box is a sum. The first term is its ``motion_cost`` times a factor within the bounds. The second term
+    is the larger of the scalar products of ``dq`` with the box's two pulls.
     """
     # 1. Bounds that hold in all directions.
     bounds = cost_map.bounds(lo, hi)
@@ -189,7 +194,11 @@ def cost_bounds(
 
 
 def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the cost factors ``(n,)`` at configurations, and their pulls or None, as :func:`cost_bounds` does."""
+    """Return the cost factor at each configuration, ``(n,)``, and the pulls of a ``DirectionalCost`` (else None).
+
+    *Pulls* are two vectors per configuration, ``(2, n, dof)``. A motion ``dq`` costs its ``motion_cost`` times the
+    factor, plus the larger of the scalar products of ``dq`` with the two pulls.
+    """
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -200,7 +209,10 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
 
 
 def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of straight motions from ``q`` to ``q + change``, as if costs were everywhere as at ``q``."""
+    """Return the costs of straight motions from ``q`` to ``q + change``, with the cost factor and pulls at ``q``.
+
+    For the factor and pulls, see :func:`point_costs`.
+    """
     factors, pulls = point_costs(motion_cost, cost_map, q)
     return factors * motion_cost.norm(change) + pulled(pulls, change)
 

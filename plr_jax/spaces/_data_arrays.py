@@ -1,6 +1,6 @@
 """Read xarray's ``DataArray`` as a raster of two dimensions, y and x, with coordinates of the cell centers.
 
-Functions return the values, and the box that the cells fill. xarray need not be installed.
+The functions return the raster's values, and the box that its cells fill. xarray need not be installed.
 """
 
 import warnings
@@ -41,7 +41,7 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     """Return the box that the cells of a ``DataArray`` fill, and the slices of its rows and columns.
 
     An array of the raster's values, indexed by the slices, has ascending coordinates along both axes. If coordinates
-    look like degrees, a warning is issued.
+    look like degrees, a warning is issued. Error messages call the raster ``name``.
     """
     # 1. Check the names and the units of the dimensions.
     if len(raster.dims) != 2:

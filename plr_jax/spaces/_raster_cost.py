@@ -62,17 +62,18 @@ class RasterCost:
     The cost map does not keep paths out of blocked cells; a space such as :meth:`space` does. A blocked cell has the
     factor of the nearest unblocked cell. Outside the bounds, the factor is that of the nearest point inside; along
     periodic axes the raster repeats. If configurations have more coordinates than the raster has axes, the leading
-    ones select the factor, which applies to turns as well. Invalid arguments raise ``ValueError``.
+    coordinates select the factor; it also applies to changes of the other coordinates. Invalid arguments raise
+    ``ValueError``.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
             blocked. An xarray ``DataArray`` of the dimensions y and x may run from north to south, and its no-data
             cells are blocked.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers. Leave
-            it out for a ``DataArray``, whose coordinates count.
+            it out for a ``DataArray``, which has coordinates.
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
-            half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts, but
-            bounds count the cells on both sides.
+            half of border cells. ``"nearest"`` is constant in each cell. On a border between cells, it takes the
+            upper cell; the method :meth:`bounds` takes both cells.
     """
 
     values: Float[np.ndarray, "..."]
@@ -232,8 +233,8 @@ class RasterCost:
     def __call__(self, q: ArrayLike) -> Rates:
         """Return the factor of the motion cost at configurations ``(n, dof)``, ``(n,)``.
 
-        Only the leading coordinates count, one for each axis of the raster. The factor is NaN if one of them is not
-        finite.
+        Only the leading coordinates count, one for each axis of the raster. The factor is NaN if one of the leading
+        coordinates is not finite.
         """
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
@@ -248,10 +249,11 @@ class RasterCost:
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Return bounds of the factor of the motion cost over closed boxes, which may extend beyond the raster.
 
-        With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
-        are exact if the box meets at most three intervals between cell centers along each axis. Over larger boxes,
-        they are the extremes over all cells whose centers surround the box. Bounds are rounded outward, and extremes
-        over many cells to float32. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
+        With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, the
+        bounds are exact if the box meets at most three intervals between cell centers along each axis. Over larger
+        boxes, they are the extremes over all cells whose centers surround the box. Bounds are rounded outward;
+        extremes over many cells are also rounded to float32. Corners, ``(n, dof)``, must be finite with ``hi``
+        nowhere below ``lo``.
         """
         lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)
         as_boxes(lo, hi, self.dim)
@@ -331,7 +333,7 @@ class RasterCost:
         return (self.domain.width / self._sizes)[::-1]
 
     def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
-        """Return an array repeated three times along periodic axes, and the slices of the middle copy in it."""
+        """Return an array with ``cells`` three times along each periodic axis, and the slices of the middle copy."""
         wraps = self.domain.periodic[::-1]
         sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
         middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
@@ -371,7 +373,8 @@ class SparseTable:
     """A table to look up the smallest and largest entry of any block of an array, as float32 rounded outward.
 
     Level ``k`` has the extremes of all windows whose side is ``2**k``, or the whole axis if that is shorter. A block
-    is covered by windows of the largest level that fits into it. These may overlap, which does not change extremes::
+    is covered by windows of the largest level that fits into it. Windows may overlap, which does not change
+    extremes::
 
         block     |-----------|
         windows   |-------|

@@ -91,8 +91,8 @@ class MotionCost:
 class FreeTest(Protocol):
     """The minimal configuration space: which configurations are free, and what motions cost.
 
-    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. Methods raise
-    ``ValueError`` if arrays have a wrong shape or different lengths.
+    A :class:`FreeTest` suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. Methods
+    raise ``ValueError`` if arrays have a wrong shape or different lengths.
     """
 
     @property
@@ -106,7 +106,7 @@ class FreeTest(Protocol):
         ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return whether configurations ``(n, dof)`` are free; False for those that are not finite."""
+        """Return whether configurations ``(n, dof)`` are free; False for configurations that are not finite."""
         ...
 
 
@@ -120,11 +120,14 @@ class ConfigurationSpace(FreeTest, Protocol):
     """
 
     def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, " n"]:
-        """Return the :class:`CellState`, ``(n,)``, of boxes with corners ``(n, dof)``, which may leave the domain."""
+        """Return the :class:`CellState` of each box, ``(n,)``.
+
+        ``lo`` and ``hi`` are the boxes' corners, ``(n, dof)``. Boxes may extend beyond the domain.
+        """
         ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions between configurations ``(n, dof)`` are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1``, ``(n, dof)``, are proven free all the way.
 
         All axes change in proportion. Periodic axes take the short way; at exactly half a period, the space chooses
         one of the two ways. The result is False where an end is not finite.
@@ -136,7 +139,7 @@ class ConfigurationSpace(FreeTest, Protocol):
 class Separable(Protocol):
     """A configuration space that can tell which configurations are disconnected from given configurations.
 
-    Solvers use it to count rooms that are cut off from the goal as obstacles.
+    Solvers use this to treat rooms that are cut off from the goal as obstacles.
     """
 
     def separated(self, q: ArrayLike, /) -> tuple[ConfigurationSpace, ConfigurationSpace | None]:
@@ -156,15 +159,16 @@ class SeesBoxes(Protocol):
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return, for each row, whether ``q`` is proven to see every free configuration of the box from lo to hi.
+        """Return whether the configuration ``q[i]`` is proven to see every free configuration of box ``i``.
 
-        That is, all straight motions from these configurations to ``q`` are free.
+        Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. To see a configuration means that the straight motion from it
+        to ``q[i]`` is free.
         """
         ...
 
 
 def batches(rows: Int[np.ndarray, " n"], size: int) -> Iterator[Int[np.ndarray, " _"]]:
-    """Yield consecutive slices of ``rows``, with at most ``size`` entries each; none if there are no rows."""
+    """Yield consecutive slices of ``rows``, with at most ``size`` entries each; nothing if ``rows`` is empty."""
     return (rows[begin : begin + size] for begin in range(0, len(rows), size))
 
 
@@ -198,7 +202,7 @@ def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, " n"]:
 
 
 def precision_of(numbers: ArrayLike) -> float:
-    """Return the relative precision of an array's type: 2**-23 for 4 bytes, 2**-7 for 2 bytes, else 2**-52."""
+    """Return the relative precision of an array's type: 2**-23 for 4-byte numbers, 2**-7 for 2-byte, else 2**-52."""
     return {2: 2.0**-7, 4: 2.0**-23}.get(np.asarray(numbers).dtype.itemsize, 2.0**-52)
 
 
@@ -221,7 +225,7 @@ class CheckedSpace:
 
 
 def require_space(space: object) -> None:
-    """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose domain and motion cost agree."""
+    """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose motion cost fits its domain."""
     if isinstance(space, type) or not isinstance(space, FreeTest):
         raise ValueError(
             "space must be a configuration space with a domain, a motion_cost and is_free, such as "

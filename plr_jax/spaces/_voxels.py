@@ -30,9 +30,9 @@ class VoxelSpace:
     A position is free if the robot overlaps neither blocked voxels nor the outside of the bounds; it may touch both.
     A point cannot pass between two blocked voxels that share only an edge or corner: free voxels are connected
     through faces. For a point, all answers are exact. A ball may come nearer to blocked voxels than its radius, by
-    the ``tolerance``. A box of positions that is blocked for a ball may be MIXED if no single blocked voxel is too
-    near to all of it. ``ValueError`` is raised if an argument is invalid, no voxel is free, or voxels are too small
-    for the precision of coordinates.
+    the ``tolerance``. For a ball, a box of positions is proven blocked only if one blocked voxel is too near to all
+    positions in the box. All other blocked boxes are MIXED. ``ValueError`` is raised if an argument is invalid, no
+    voxel is free, or voxels are too small for the precision of coordinates.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
@@ -75,7 +75,7 @@ class VoxelSpace:
 
     @property
     def tolerance(self) -> float:
-        """Distance by which a ball may come nearer than its radius, in units of the bounds."""
+        """Distance by which a ball may come nearer to blocked voxels than its radius, in units of the bounds."""
         return rounding_of(self.domain)
 
     def is_free(self, q: ArrayLike) -> Booleans:
@@ -119,7 +119,7 @@ class VoxelSpace:
         return state
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Return whether straight motions are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
         A point may change from one free voxel to another only through faces. A motion within faces or along edges of
         voxels is free if a path through the voxels beside it is free.
@@ -134,9 +134,11 @@ class VoxelSpace:
         return free
 
     def separated(self, q: ArrayLike) -> "tuple[VoxelSpace, VoxelSpace | None]":
-        """Divide the space into free voxels connected through faces to a position of ``q``, and other free voxels.
+        """Divide the space in two by the free voxels.
 
-        The second is None if there are no other free voxels, or if no voxel is joined to ``q``.
+        The first part has the free voxels that are connected through faces to a position in ``q``, the second part
+        has all other free voxels. Return each part as a space of its own. If one part has no voxel, return the space
+        itself and None.
         """
         # 1. Find the regions of all free voxels that contain a position: 2**dim voxels, some equal, per position.
         labeled: Any = ndimage.label(self.grid.padded)
@@ -151,10 +153,11 @@ class VoxelSpace:
         return VoxelSpace(is_joined, self.domain, self.radius), VoxelSpace(rest, self.domain, self.radius)
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Return whether a point at ``q`` is proven to see every free position of a box; False for balls.
+        """Return whether a point robot at ``q[i]`` is proven to see every free position of box ``i``.
 
-        The free voxels that the box touches must fill a box of their own. ``q`` must lie in that box and in the given
-        box, but not on an edge or corner where blocked voxels touch.
+        Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. The free voxels that it touches must fill a box, too. ``q[i]``
+        must lie in both boxes, but not on an edge or corner where blocked voxels touch. The result is False for a
+        ball robot.
         """
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:

@@ -25,9 +25,9 @@ Moves = Literal["any-angle", 4, 8]
 class GridDistance:
     """The distance from any point of a grid to a goal, made by :func:`grid_distance`; a pytree of arrays.
 
-    All distances are NaN if ``is_complete`` is false or ``is_nan`` is true. The first means that the map has more
-    than ``max_corners`` corners where paths may bend, the second that a coordinate of the goal is NaN. The shapes of
-    the arrays depend only on the ``shape`` of the grid, ``(rows, columns)``, on ``moves`` and on ``max_corners``.
+    ``is_complete`` is false if the map has more than ``max_corners`` corners where paths may bend. ``is_nan`` is true
+    if a coordinate of the goal is NaN. In both cases, all distances are NaN. The shapes of the arrays depend only on
+    the ``shape`` of the grid, ``(rows, columns)``, on ``moves`` and on ``max_corners``.
     """
 
     paths: Steps | CornerPaths
@@ -120,7 +120,7 @@ def grid_distance(
             bend. Maps with more corners give NaN, and ``is_complete`` is false. Time and memory grow with the square
             of this number; without a goal, time grows with its cube. It is at most 4,096. Default: the number of
             cell corners inside the grid, ``(h - 1) * (w - 1)``, if this is at most 256 (17 x 17 cells), else half
-            of it.
+            of this number.
     """
     mask = _as_mask(free)
     h, w = mask.shape

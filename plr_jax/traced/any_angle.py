@@ -1,9 +1,9 @@
-"""Any-angle shortest paths on a grid that JAX may trace; they bend only at convex corners of blocked cells.
+"""Any-angle shortest paths on a grid that JAX may trace; paths bend only at convex corners of blocked cells.
 
 A segment of a path is tested against blocked cells row by row. Its ends are first moved into free cells, to a
 :func:`margin` from the cells' sides. The part of the segment inside a row of cells is extended along the row by a
-fourth of this margin at both ends. So a segment that grazes a corner may count as blocked; a path that bends at this
-corner is equally long. Cells are bits of words, so that all cells of a row are tested at once.
+fourth of this margin at both ends. So a segment that grazes a corner may count as blocked; the path that bends at
+this corner is equally long. Cells are bits of words, so that all cells of a row are tested at once.
 """
 
 from collections.abc import Iterator
@@ -34,14 +34,18 @@ MAX_LATTICE = 2**8
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return how far points that are moved into a cell stay from its sides: 32 rounding errors of a coordinate."""
+    """Return how far points that are moved into a cell stay from the cell's sides, in cell sides.
+
+    The margin is 32 rounding errors, of type ``dtype``, of the largest coordinate in a grid of the given ``shape``.
+    """
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Move each point into the first, and into the last free cell around it; see ``Ends``.
+    """Move each point into two free cells around it: the first and the last of up to four cells.
 
-    Return the moved points, ``(..., 2, 2)``, and whether there is a free cell.
+    Both cells are the same if only one is free. Return the moved points, ``(..., 2, 2)``, and whether the point is in
+    the grid and has a free cell around it.
     """
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
@@ -75,9 +79,10 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield, for each row, the first and the last column of each segment, and whether the segment meets the row.
+    """Yield, for each row of cells, the first and the last column of each segment, and whether it meets the row.
 
-    The part of a segment in the row is extended by ``slack`` columns at both ends. ``xp`` is NumPy or ``jax.numpy``.
+    Segments lead from ``a`` to ``b``. The part of a segment in the row is extended by ``slack`` columns at both ends.
+    ``xp`` is NumPy or ``jax.numpy``.
     """
     # The segment is at y0 + t * dy, with t from 0 to 1. It crosses the line below row k at t = (k - y0) / dy, clipped
     # to [0, 1]: equal values at both lines of a row mean that the segment misses the row. A segment that goes down
@@ -127,11 +132,12 @@ def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
 def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
     """Return a table of the cells that segments cross, as packed bits.
 
-    The segments lead to each inner corner of the grid (see :func:`lattice`) from each inner corner, or with
-    ``from_centers`` from each cell's center. A segment through a third corner counts as crossing all four cells
-    there: if one of them is blocked, a path that bends at this corner is equally long. A segment along a grid line
-    counts as crossing only the cells on its left. So two corners on the line see each other if the segment is free in
-    one of its two directions.
+    The segments end at each inner corner of the grid (see :func:`lattice`). They start at each inner corner, or with
+    ``from_centers`` at each cell's center.
+
+    A segment through a third corner counts as crossing all four cells there. If one of these cells is blocked, a path
+    that bends at this corner is equally long. A segment along a grid line counts as crossing only the cells on its
+    left. So two corners on the line see each other if the segment is free in one of its two directions.
 
     Number the cells row by row, ``row * columns + column``. Cell ``32 * w + i`` is bit ``i`` of the word at
     ``[w, start, end]``.
@@ -184,7 +190,7 @@ class Corners:
         return corners if self._is_lattice else corners[self.index]
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
-        """Return, for each corner, a point close to it in the cell opposite to the blocked one."""
+        """Return, for each corner, a point close to it in the cell opposite to the blocked cell."""
         #   +---+---+    A corner (o) with one blocked cell (#) around it. Along each axis, blocked cells before it
         #   |   | x |    minus blocked cells after it, summed over both rows or columns, are 1 or -1: the direction
         #   +---o---+    `away` from the blocked cell to x. Here both are 1. Corners that are not convex may have the
@@ -203,7 +209,10 @@ class Corners:
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which convex corners each point sees, ``(n, corners)``; :func:`inside_free_cells` makes ``ends``."""
+        """Return which corners each point sees, ``(n, corners)``; only entries of convex corners have a meaning.
+
+        ``ends`` are the points as :func:`inside_free_cells` returns them.
+        """
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
@@ -281,7 +290,10 @@ def _(primals, tangents):
 
 @pytree
 class CornerPaths:
-    """Shortest paths to one goal, by way of convex corners: the corners, and their distances to the goal."""
+    """Shortest paths to one goal, by way of convex corners.
+
+    The fields are the corners, the distance of each corner to the goal, and the goal.
+    """
 
     corners: Corners
     distances: Float[Array, "*maps corners"]  # from convex corners to the goal
@@ -320,7 +332,10 @@ class CornerPaths:
 
 @pytree
 class CornerPairs:
-    """Shortest paths between any two points, by way of convex corners: the corners, and their distances."""
+    """Shortest paths between any two points, by way of convex corners.
+
+    The fields are the corners and the distances between corners.
+    """
 
     corners: Corners
     between: Float[Array, "*maps corners corners"]  # shortest paths between corners; 0 from a corner to itself

@@ -57,11 +57,11 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
-    """Return rows and columns of the up to four cells that contain each point, and whether the grid contains it.
+    """Return rows and columns of the up to four cells around each point, and whether the point is in the grid.
 
-    Rows and columns are arrays ``(4, ...)``, of the cells lower left, lower right, upper left and upper right. Some
-    of the cells are equal, unless the point is a corner of cells. A point outside the grid is moved to the nearest
-    point of the grid.
+    Rows and columns are arrays ``(4, ...)``, of the cells lower left, lower right, upper left and upper right of the
+    point. Some of the four cells are equal, unless the point is a corner of cells. A point outside the grid is first
+    moved to the nearest point of the grid.
     """
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
@@ -74,9 +74,9 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
 
 @pytree
 class Steps:
-    """The path length from each cell to the goal's cell, in a table.
+    """A table of the path length from each cell to the goal's cell.
 
-    A point on the border of several cells has the least of their lengths.
+    A point on the border of several cells counts as in the cell of least length.
     """
 
     table: Float[Array, "*maps h w"]
@@ -97,9 +97,9 @@ class Steps:
 
 @pytree
 class StepPairs:
-    """The path length between any two cells, in a table.
+    """A table of the path length between any two cells.
 
-    A point on the border of several cells has the least of their lengths.
+    A point on the border of several cells counts as in the cell that gives the least length.
     """
 
     table: Float[Array, "*maps h w h w"]
@@ -122,7 +122,10 @@ class StepPairs:
 
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
-    """Return the path length from each cell to the nearest cell of the packed grid ``start``, ``inf`` if none."""
+    """Return the path length from each cell to the nearest cell of the set ``start``; ``inf`` without a path.
+
+    ``start`` is packed by :func:`pack`. ``moves`` is 4 or 8, the number of neighbors that a step may lead to.
+    """
     w, start = free.shape[1], start & pack(free)
     if moves == 8:
         return _octile_distances(free, unpack(start, w) == 1)
@@ -133,9 +136,10 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    """Return the cells that can be reached from ``start``, and their numbers of steps, as packed grids.
+    """Return the cells that can be reached from the cells ``start``, and their numbers of steps, as packed grids.
 
-    The numbers of steps are binary: grid ``k`` has digit ``k`` (worth ``2**k``) of each cell's number.
+    ``passable`` are the cells that steps may enter. The numbers of steps are binary: grid ``k`` has digit ``k``
+    (worth ``2**k``) of each cell's number.
     """
     # `powers` are the numbers of the digits from the third on. Paths are shorter than the padded grid has cells.
     h, words = passable.shape[:2]
@@ -181,9 +185,10 @@ MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than c
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
-    """Return path lengths on the 8-connected grid, by rounds that relax all cells at once.
+    """Return the path length from each cell to the nearest cell of ``start``, on the 8-connected grid.
 
-    The unit is the length of a step between cells that share a side.
+    Rounds relax all cells at once. The unit of length is a step between cells that share a side. ``inf`` without a
+    path.
     """
     # Arrays have a rim of one cell, which no path reaches: `at` is the grid, moved by a step.
     h, w = free.shape

@@ -30,7 +30,7 @@ function beside(x, isAbove) {
 
 
 class JavaScriptEmitter(Emitter):
-    """A generator of JavaScript: in its code, ``f = Math.fround`` rounds the result of each 32-bit operation."""
+    """A generator of JavaScript code, in which ``f = Math.fround`` rounds the result of each 32-bit operation."""
 
     root_of, cast, is_rounded = "f(Math.sqrt({}))", "f({})", False
     definition = "const {name} = {value};"
@@ -46,9 +46,9 @@ class JavaScriptEmitter(Emitter):
 
 
 class _ConesFromTables(Program):
-    """The query of a file of cones that is read when the JavaScript runs.
+    """The query of a PLR file of cones that JavaScript reads at run time.
 
-    JavaScript variables such as ``scale0`` take the place of the constants of the file.
+    In place of the file's constants, the generated code has variables such as ``scale0``.
     """
 
     def __init__(self) -> None:
@@ -79,8 +79,8 @@ def js_file_reader() -> str:
 def js_cone_reader() -> str:
     """Return the source of the JavaScript function ``coneReader(tables)``.
 
-    It takes the tables of a file of cones, as the function ``readCones`` in ``file.js`` returns them, and returns the
-    functions ``distance``, ``waypoint`` and ``bounds``.
+    That function takes the tables of a file of cones, as the JavaScript function ``readCones`` in ``file.js`` returns
+    them. It returns the functions ``distance``, ``waypoint`` and ``bounds``.
     """
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program = _ConesFromTables()
@@ -141,10 +141,11 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Return the lines of the JavaScript functions ``distance`` and, where they apply, ``waypoint`` and ``bounds``.
+    """Return the lines of the JavaScript functions that answer queries.
 
-    The code reads ``width`` numbers for each leaf from an array ``numbers``. If ``is_proven``, the last two of these
-    numbers are bounds of the error.
+    These are ``distance``, for cones ``waypoint``, and if ``is_proven``, ``bounds``. The code reads ``width`` numbers
+    for each leaf from an array ``numbers``. If ``is_proven``, the last two are lower and upper bounds of distance
+    minus PLR value.
     """
     dim, has_tree = program.dim, len(tree.children) > 0
 
@@ -191,9 +192,11 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Return the lines of the JavaScript function ``leaf``, which finds the row of parameters of a point's leaf.
+    """Return the lines of the JavaScript function ``leaf``, which returns the row of parameters of a point's leaf.
 
-    If ``of_cells``, the function also finds the position of the leaf's cell.
+    The function reads the point's position from the array ``place``. If ``of_cells``, it also finds the leaf's cell.
+    Then, for each axis, ``count`` is the number of such cells along the domain, and ``cell`` the index of the leaf's
+    cell.
     """
     # `place` has the next bit of the position along each axis as its highest bit. For `of_cells`, `count` is the
     # number of cells like the current one along each axis of the domain, `cell` its index among these.
@@ -237,7 +240,7 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
 
 
 def float32_literal(number: np.float32) -> str:
-    """Return the shortest decimal whose 64-bit value, as JavaScript reads it, rounds to the given 32-bit float."""
+    """Return a short decimal that JavaScript reads as a 64-bit float which rounds to ``number``."""
     text = str(number)
     return _decimal(text if np.isinf(number) or np.float32(float(text)) == number else float(number))
 

@@ -54,7 +54,7 @@ class PythonEmitter(Emitter):
 
 
 class LeafTable:
-    """A lookup table over a grid: for each grid cell, the deepest node (or leaf) of the tree that contains it."""
+    """A lookup table: for each cell of a regular grid, the deepest node of the tree that contains this grid cell."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree = tree
@@ -73,8 +73,8 @@ class LeafTable:
     def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
         """Return the index of each point's leaf.
 
-        ``fractions`` has the points' coordinates, an array for each axis, in units of ``2**-23`` of the domain's
-        width.
+        ``fractions`` has an array for each axis: the points' coordinates from the domain's lower end, in units of
+        ``2**-23`` of its width.
         """
         # The row-major index of a grid cell consists of the highest bits of the point's fraction along each axis.
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
@@ -87,10 +87,11 @@ class LeafTable:
     def _descend(
         self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
     ) -> None:
-        """Descend the tree from the node ``code[i]`` of each point toward the leaf that contains the point, in place.
+        """Descend the tree from the node ``code[i]`` toward the leaf that contains point ``i``.
 
-        Nodes are coded as in :class:`CodedTree`. ``fractions`` has the points' coordinates, an array for each axis.
-        The descent stops at nodes that are split along an axis already halved ``bits[axis]`` times.
+        ``code`` is changed in place; nodes are coded as in :class:`CodedTree`. ``fractions`` has the points'
+        coordinates, an array for each axis. The descent stops at leaves, and at nodes split along an axis that was
+        already halved ``bits[axis]`` times.
         """
         # A split of depth d along its axis leads to the child given by bit d of the fraction, the highest bit first.
         moving = np.flatnonzero(code & self.kind_mask != self.tree.dim)
@@ -110,9 +111,12 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    ``numbers`` are the parameters of all leaves. The function returns the distance, or the leaf's index if
-    ``of_leaf``. It returns None where the query of arrays must answer instead: for NaN, for a point that must be
-    moved along a periodic axis, and where rounding decides whether the point is inside the domain.
+    ``numbers`` are the parameters of all leaves. The function returns the distance (``inf`` outside the domain), or
+    with ``of_leaf`` the leaf's index (-1 outside). It returns None if only a query of arrays can answer:
+
+    - The point must be moved along a periodic axis.
+    - A coordinate is NaN, and no other coordinate is outside the domain.
+    - Rounding decides whether the point is inside the domain.
     """
     # For example, for planes in the unit square:
     #
@@ -186,20 +190,22 @@ def point_query(
 class NumpyPLR:
     """A PLR that is queried without JAX; made by :func:`load_numpy` or :meth:`PLR.numpy`.
 
-    ``f(x)`` is the distance at points ``(..., dim)``. Points are rounded to 32 bits; before that, 64-bit points are
-    moved into the domain along periodic axes and, in a domain far from the origin, made relative to its lower corner.
+    ``f(x)`` is the distance at points ``(..., dim)``. Points are rounded to 32 bits. Before that, 64-bit points are
+    moved into the domain along periodic axes. In a domain far from the origin, points are also made relative to its
+    lower corner.
 
     Answers equal the answers of C headers (:meth:`PLR.c_header`) bit for bit. On a CPU, they equal ``plr(x)`` bit for
     bit, except for numbers below 1e-38. With ``jax_enable_x64``, ``plr(x)`` computes in 64 bits for 64-bit points, so
     that answers differ by the rounding of this class.
 
     A single point, as a tuple, list or array, takes a few microseconds, and so does each point of an array of at most
-    eight points. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Bounds, points that
-    must be moved along periodic axes, and points outside the domain with ``outside`` other than ``"inf"`` take up to
-    a few hundred microseconds per call.
+    eight points. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Some queries take up
+    to a few hundred microseconds per call: bounds, points that must be moved along periodic axes, and points outside
+    the domain with ``outside`` other than ``"inf"``.
 
     ``dim``, ``domain``, ``num_leaves`` and ``max_error`` equal the attributes of the :class:`PLR`. Answers are
-    float32, except that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
+    float32, except that waypoints in a domain far from the origin are float64, and :meth:`which` and :meth:`leaf`
+    return integers.
     """
 
     def __init__(self, data: bytes):
@@ -301,7 +307,8 @@ class NumpyPLR:
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, " leaves_and_outside *row"]) -> Any:
         """Return ``rows[leaf]`` for the leaf of each point ``x``, ``(..., dim)``.
 
-        Outside the domain and where a coordinate is NaN, return the last row, which is NaN.
+        ``rows`` has a row for each leaf, then a row of NaN. Points outside the domain or with a NaN coordinate get
+        this last row.
         """
         leaf = self._at_few_points(x, self._leaf_query)  # -1, the last row, outside
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
@@ -330,8 +337,9 @@ class NumpyPLR:
     def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
         """Return ``answer(offsets, leaf)`` for all points ``x``, ``(..., dim)``, computed in chunks.
 
-        ``offsets`` are points minus the domain's lower corner, ``leaf`` the indices of their leaves. ``outside`` is
-        the answer at points outside the domain: ``"inf"``, ``"clamp"`` or ``"nan"``.
+        ``offsets`` has an array for each axis: points minus the domain's lower corner. ``leaf`` has the indices of
+        the points' leaves. ``outside`` is the answer at points outside the domain: ``"inf"``, ``"clamp"`` or
+        ``"nan"``.
         """
         x, program = as_queries(x, self.dim), self._program
         flat, parts = x.reshape(-1, self.dim), []
@@ -367,9 +375,10 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Return, for points outside the domain, the value at its nearest point plus the distance to that point.
+        """Return, for points outside the domain, the answer at the domain's nearest point plus the distance to it.
 
-        The answer is ``inf`` if a coordinate is not finite.
+        ``relative`` has the points as :meth:`Program.relative` returns them. The result is ``inf`` if a coordinate is
+        not finite.
         """
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
@@ -386,9 +395,9 @@ class NumpyPLR:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        """Return the proven bounds ``(n, 2)`` of the distance: lower bounds, at least 0, and upper bounds.
+        """Return proven lower bounds (at least 0) and upper bounds of the distance at points, ``(n, 2)``.
 
-        Both are rounded outward. Where the PLR is not finite, both equal its value.
+        All bounds are rounded outward. Where the PLR is not finite, both bounds equal the PLR's value.
         """
         assert self._band is not None, "bounds are called only with a proof"
         value = self._values(offsets, leaf)
@@ -408,7 +417,8 @@ def _as_indices(numbers: np.ndarray) -> Any:
 def load_numpy(path: str | os.PathLike) -> NumpyPLR:
     """Read a PLR that :func:`save` wrote, without importing JAX; ``OSError`` if the file cannot be read.
 
-    ``ValueError`` if it is no PLR file that this release reads, or holds distances between any two points.
+    ``ValueError`` if this release cannot read the file as a PLR to fixed goals, for example a file with distances
+    between any two points.
     """
     path = file_path(path)
     try:

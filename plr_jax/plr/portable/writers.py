@@ -39,7 +39,7 @@ class Expression:
         return self.text
 
     def at_least(self, level: int) -> str:
-        """Return the text, in parentheses if its precedence is lower than ``level``."""
+        """Return the text, in parentheses if the precedence of its outermost operator is lower than ``level``."""
         return self.text if self.level >= level else f"({self.text})"
 
     def _joined(self, symbol: str, left: "Expression", right: "Expression", level: int) -> "Expression":
@@ -111,9 +111,9 @@ class Emitter(Operations, ABC):
         return Expression(self.literal(number), _ATOM if number >= 0 else _PRODUCT, of_type, self)
 
     def let(self, name: str, value: Any) -> Expression:
-        """Append the assignment of an expression to a new, numbered variable, and return the variable.
+        """Append a statement that assigns ``value`` to a new variable, and return the variable.
 
-        An expression that is a variable already is returned unchanged.
+        The variable is called ``name`` with a number. If ``value`` is a variable already, return it unchanged.
         """
         if value.text.isidentifier():
             return value
@@ -155,8 +155,9 @@ class Emitter(Operations, ABC):
         """Append code that finds the leaf of the point ``x``, whose coordinates have the type ``of_type``.
 
         The statements ``outside`` run if ``x`` is outside the domain. ``read_leaf(self, fractions)`` appends code
-        that finds the leaf, and returns expressions of its parameters. Return the expressions of ``x`` minus the
-        domain's lower corner, and of the parameters.
+        that finds the leaf from the point's position, and returns the expressions of the leaf's parameters.
+
+        Return two lists of expressions: ``x`` minus the domain's lower corner, and the leaf's parameters.
         """
         x = [self.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
         if of_type == "double":
@@ -189,7 +190,7 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
-    """Return the entries of a C or JavaScript initializer, each followed by a comma, as lines of limited width."""
+    """Return lines of limited width with the entries of a C or JavaScript array, each followed by a comma."""
     lines = [""]
     for entry in entries:
         if len(lines[-1]) + len(entry) > _WIDTH:
