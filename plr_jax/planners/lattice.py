@@ -136,7 +136,7 @@ class CellGrid(NamedTuple):
         self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
     ) -> "Kind":
         """Add starts and goals of robots ``members`` of a team as nodes, and return the motions of these robots."""
-        # Arrays of terminals have the axes (2, robots): row 0 holds the starts, row 1 the goals. Reversed by `[::-1]`,
+        # Arrays of terminals have the axes (2, robots): row 0 holds the starts, row 1 the goals. Reversed (`[::-1]`),
         # they hold the other terminal of the same robot. A goal may equal the start, up to whole turns.
         poses = np.stack([starts, goals])
         is_distinct = straight_costs(starts, goals, 1.0) > 0
@@ -145,7 +145,7 @@ class CellGrid(NamedTuple):
         modes = ("clip", "clip", "wrap")[: len(self.shape)]
         cells = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape, mode=modes))
         is_shared = cells[0] == cells[1]
-        # 2. Extend the grid, so that each of these cells has a representative, and that a primitive connects start and
+        # 2. Extend the grid, so that each of these cells has a representative, and a primitive connects a start and a
         #    goal in one cell.
         grid = self._with_representatives(cells.ravel(), poses.reshape(cells.size, -1))
         if (is_distinct & is_shared).any():
