@@ -126,9 +126,12 @@ def taut_corners(
     runs = [np.zeros((4, 0), np.int64)]  # corner, first cell, step, number of cells
     for sector in _sectors(free, connectivity):
         blocked = sector.blocked
-        ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
-        masks = ahead, aside, blocked[1, -1] | blocked[-1, 1]
-        is_taut_ahead, is_taut_aside, is_taut_both = (mask[sector.row, sector.column] for mask in masks)
+        ahead = blocked[1, 1] | blocked[-1, 1]
+        aside = blocked[1, 1] | blocked[1, -1]
+        either = blocked[1, -1] | blocked[-1, 1]
+        is_taut_ahead, is_taut_aside, is_taut_both = (
+            mask[sector.row, sector.column] for mask in (ahead, aside, either)
+        )
         is_first_taut = is_taut_both if sector.is_slanted else is_taut_aside
         for corner, width, row in _scan(sector, ahead, ahead | aside if sector.is_slanted else aside):
             # The first cell of row 0 is the corner itself. Adjacent sectors share the cells straight ahead and aside.
