@@ -167,8 +167,8 @@ class PairPLR(FileBacked):
         goals: PreparedGoals | None = None,
     ) -> tuple[Array, ...]:
         """Return answers for a batch of pairs: ``in_numpy`` for few pairs, else by the ``compiled`` function."""
-        # 1. NumPy takes the columns of prepared goals. The compiled function has them, and takes the index of each goal:
-        #    so the parts of a batch share the goals.
+        # 1. NumPy takes the columns of prepared goals. The compiled function has them, and takes the index of each
+        #    goal: so the parts of a batch share the goals.
         columns, index = (), ()
         if goals is not None:
             columns, shape = (goals.points, goals.to_corners), goals.points.shape[:-1]
@@ -207,7 +207,7 @@ class PairPLR(FileBacked):
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
-        # Subtract the middle: in 64 bits from such points outside of JAX, else in two parts of 32 bits, `first + rest`.
+        # Subtract the middle: in 64 bits from such points outside of JAX, else in two parts, `first` and `rest`.
         if is_traced(self.file):
             unresolved, (first, rest) = self.tables.unresolved, self.tables.middle
         else:
