@@ -96,8 +96,8 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Points:
     """Return each point's next waypoint, the apex of its leaf's cone; NaN outside the closed domain and for NaN."""
     x = _constant(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
-    numbers = _leaf_parameters(tables, find_row(tables, x), x.dtype)
-    source = jnp.stack(tables.leaf.source_of(numbers), axis=-1)
+    parameters = _leaf_parameters(tables, find_row(tables, x), x.dtype)
+    source = jnp.stack(tables.leaf.source_of(parameters), axis=-1)
     source = jnp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
     return jnp.where((outside | jnp.isnan(answer))[..., None], np.nan, source)
 
@@ -148,15 +148,15 @@ def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Val
     return outside, answer
 
 
-def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Array, "*#batch"]]:
+def _clamp(domain: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Array, "*#batch"]]:
     """Return the nearest point of the domain and the distance to it; a point that is not finite does not move."""
     is_finite = jnp.isfinite(x).all(axis=-1)
-    nearest = [x[..., axis] for axis in range(window.dim)]
+    nearest = [x[..., axis] for axis in range(domain.dim)]
     beyond = []  # differences to the nearest point, along axes that are not periodic
-    for axis in range(window.dim):
-        if axis in window.periodic:
+    for axis in range(domain.dim):
+        if axis in domain.periodic:
             continue
-        frame, along = window.frame[:, axis].astype(x.dtype), nearest[axis]
+        frame, along = domain.frame[:, axis].astype(x.dtype), nearest[axis]
         lo, hi = frame[Frame.LO], frame[Frame.HI]
         if x.dtype == np.float64:  # the outermost coordinates that ``outside_domain`` accepts
             lo, hi = lo + frame[Frame.LO_REST], hi - frame[Frame.HI_REST]
@@ -178,20 +178,21 @@ def length_of(along: list[Values]) -> Float[Array, "*#batch"]:
     return without_fusion(scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0))
 
 
-def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
-    # z = A (x - center); then each mirror negates its axes at points whose pivot coordinate is negative. Points
-    # outside the domain go to the center of the mirrors.
-    axes = range(window.dim)
-    center, remainder = window.center.astype(x.dtype)  # the center is their sum
+def _fold(domain: FoldedDomain, x: Points, outside: Flags) -> Points:
+    # 1. Change the coordinates: z = A (x - center). Points outside the domain go to the center of the mirrors.
+    axes = range(domain.dim)
+    center, remainder = domain.center.astype(x.dtype)  # the center is their sum
     z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - remainder[axis]) for axis in axes]
-    if window.axes is not None:
-        turned = window.axes.astype(x.dtype)
+    if domain.axes is not None:
+        turned = domain.axes.astype(x.dtype)
         z = [reduce(add, (without_fusion(turned[row, axis] * z[axis]) for axis in axes)) for row in axes]
-    for pivot, reversed_axes in window.mirrors:
+    # 2. Mirror: negate the axes of each mirror at points whose pivot coordinate is negative.
+    for pivot, reversed_axes in domain.mirrors:
         is_behind = z[pivot] < 0
         for axis in reversed_axes:
             z[axis] = jnp.where(is_behind, -z[axis], z[axis])
-    lo, hi = window.corners.astype(x.dtype)  # only rounding can put coordinates outside
+    # 3. Clip: only rounding can put coordinates outside.
+    lo, hi = domain.corners.astype(x.dtype)
     columns = [straight_through(z[axis], jnp.clip(_constant(z[axis]), lo[axis], hi[axis])) for axis in axes]
     # Keep XLA from repeating the folding wherever a coordinate is read.
     folded = jax.lax.optimization_barrier(jnp.stack(columns))
@@ -240,22 +241,21 @@ def find_row(tables: Tables, x: Points) -> Bits:
 
 
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
-    # 1 plus the point's fraction of the domain is ``placed`` = (x - lo) * scale + start. A float from 1 to below 2 has
-    # the bits
+    # 1 plus the point's fraction of the domain is ``placed`` = (x - lo) * scale + start, from 1 to below 2. Its bits:
     #   | sign and exponent, always the same | 23 bits of the fraction |
     rows = Frame.LO, Frame.START, Frame.SCALE, Frame.TOP
     lo, start, scale, top = (tables.frame[row, axis].astype(x.dtype) for row in rows)
-    share = (x[..., axis] - lo) * scale
+    scaled = (x[..., axis] - lo) * scale
     # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
     # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
-    placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
+    placed = jnp.maximum(jnp.where(scaled < top, scaled, top) + start, 1)
     return placed.astype(np.float32).view(np.uint32)
 
 
 def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32[Array, " dim"]) -> Bits:
     # A row-major index: the bits under each axis's mask, side by side, the last axis lowest.
-    return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
+    return reduce(or_, [(bits & mask[axis]) >> (right[axis] & _SHIFTS) for axis, bits in enumerate(fractions)])
 
 
 def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
@@ -267,15 +267,15 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
     #                                     | <------ shift ------------> |
     index = start = jnp.zeros_like(block)
     axis = 0
-    for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
-        word = gather(table, block)
-        for slot in range(axes):
-            bits = (word >> np.uint32(slot * blocks.width)) & np.uint32(2**blocks.width - 1)
+    for number, (words, num_fields) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
+        word = gather(words, block)
+        for field in range(num_fields):
+            bits = (word >> np.uint32(field * blocks.width)) & np.uint32(2**blocks.width - 1)
             within = fractions[axis] & ((np.uint32(1) << (blocks.shift[axis] & _SHIFTS)) - np.uint32(1))
             index = (index << bits) | (within >> ((blocks.shift[axis] - bits) & _SHIFTS))
             axis += 1
         if number == 0:
-            start = word >> np.uint32(axes * blocks.width)
+            start = word >> np.uint32(num_fields * blocks.width)
     return start + index
 
 
@@ -305,24 +305,28 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
     """Return the values of leaf functions at points; ``row`` has the row of each leaf's parameters."""
-    numbers = _leaf_parameters(tables, row, x.dtype)
+    parameters = _leaf_parameters(tables, row, x.dtype)
     frame = tables.frame.astype(x.dtype)
     place = []  # where the leaf's function is evaluated, axis by axis
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_cell_relative:
-            # Local coordinate, from 0 to 1, or slightly beyond where the lookup rounds across a border. An axis has
-            # the number 2**depth + position of its cell, whose exponent alone is 2**depth. With u the fraction of the
-            # domain, the local coordinate is u * 2**depth - position. Products and the difference are exact, so both
-            # leaves at a face see the same point.
+            # Local coordinate, from 0 to 1, or slightly beyond where the lookup rounds across a border. With u the
+            # fraction of the domain, it is u * 2**depth - position. Products and the difference are exact, so both
+            # leaves at a face see the same point. For depth 2 and position 1:
+            #
+            #     u                  0 |-----|--x--|-----|-----| 1
+            #     local coordinate           0     1
+            #
+            # An axis stores the float 2**depth + position, whose exponent alone is 2**depth.
             u = without_fusion(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
-            number = numbers[axis].astype(np.float32).view(np.uint32)
-            count = (number & _EXPONENT).view(np.float32).astype(u.dtype)
-            along = u * count - (numbers[axis] - count)
+            bits = parameters[axis].astype(np.float32).view(np.uint32)
+            num_cells = (bits & _EXPONENT).view(np.float32).astype(u.dtype)  # 2**depth
+            along = u * num_cells - (parameters[axis] - num_cells)
         # Differentiate as at 0 outside the domain, where ``0 * inf`` would give NaN.
         place.append(_Unfused(jnp.where(outside, 0, along)))
-    of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_cell_relative :]]
-    return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
+    of_function = [_Unfused(value) for value in parameters[tables.dim * tables.leaf.is_cell_relative :]]
+    return tables.leaf.value(of_function, place, lambda square: _Unfused(_root(square.value))).value
 
 
 def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]:
