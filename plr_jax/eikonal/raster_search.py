@@ -18,7 +18,7 @@ to four cells long, with their exact costs. With heights, edges join centers alo
 References: Mitchell and Papadimitriou, "The weighted region problem", 1991. For the march see ``march.py``.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
@@ -180,25 +180,30 @@ def search(
     if height is None:
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
         costs_to_near = _straight_costs(cost, side, points, home, near)
-    to_near = np.empty(costs_to_near.shape, np.int32)
-    for edge, step in enumerate(near):
-        end_nodes = nodes[(1 + step[0]) % 2]
-        to_near[:, edge] = end_nodes[tuple(np.clip(home + (1 + step) // 2, 0, np.array(end_nodes.shape) - 1).T)]
-    # 5. List all edges: those of nodes, by node and step, then those of sources. Fill the arrays in place, through
-    #    views, as they take most of the memory.
+    to_near = np.stack([_end_nodes(nodes, 1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
+    # 5. List the edges of all nodes, by node and step. The cost of an edge is its length, times the mean cost along
+    #    it, times the mean factor of its parts' slopes. Fill the arrays in place, as they take most of the memory.
     size = num_nodes * len(steps)
-    ends, costs = np.append(np.empty(size, np.int32), to_near), np.append(np.empty(size), costs_to_near)
-    end, weight = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
-    for begin_nodes, step, end_nodes, of_edges in _edges(cost, side, nodes, steps, height, slope_fn, from_sources):
-        edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1), step
-        end[edges], weight[edges] = end_nodes.ravel(), of_edges.ravel()
+    ends = np.append(np.empty(size, np.int32), to_near.astype(np.int32))
+    costs = np.append(np.empty(size), costs_to_near)
+    end, cost_of = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
+    for half, begin_nodes in nodes.items():
+        edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
+        cost_at = partial(_beside, cost, begin_nodes.shape)
+        for step, (i, j) in enumerate(steps):
+            length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
+            of_step = length * _mean_along(i, j, half, cost_at)
+            if height is not None:
+                height_at = partial(_beside, height, begin_nodes.shape)
+                of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn, from_sources)
+            end[edges, step], cost_of[edges, step] = _end_nodes(nodes, half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
         # The cells around each corner: a and b below it, c and d above it.
         a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
         contacts = nodes[0][(a == d) & (b == c) & (a != b)]
-        weight[contacts] = np.inf
-    # 6. Find shortest paths outward from all sources at once; an infinite weight is no edge.
+        cost_of[contacts] = np.inf
+    # 6. Find shortest paths outward from all sources at once; an infinite cost is no edge.
     begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
     sources = num_nodes + np.arange(len(points))
@@ -211,38 +216,21 @@ def search(
     return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
-def _edges(
-    cost: Padded,
-    side: Sides,
-    nodes: dict[int, Nodes],
-    steps: list[tuple[int, int]],
-    height: Padded | None,
-    slope_fn: Slope,
-    from_sources: bool,
-) -> Iterator[tuple[Nodes, int, Nodes, np.ndarray]]:
-    """Yield the edges of each step: their begin nodes, the index of the step, their end nodes and their costs.
+def _end_nodes(nodes: dict[int, Nodes], half: int, i: int, j: int) -> Nodes:
+    """Return the nodes to which a step leads from all corners (``half`` is 0) or centers (1) of cells."""
+    # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
+    end_nodes = nodes[(half + i) % 2]
+    row, column = (  # clipped where the edge leaves the raster: its cost is infinite
+        np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
+        for n, most, offset in zip(nodes[half].shape, end_nodes.shape, (i, j), strict=True)
+    )
+    return (end_nodes[0, 0] + row * end_nodes.shape[1])[:, None] + column
 
-    ``nodes`` has corners (0) and centers (1) of cells, ``steps`` numbers of half cells along both axes.
-    """
-    # The cost of an edge is its length, times the mean cost along it, times the mean factor of its parts' slopes.
-    for half, begin_nodes in nodes.items():
 
-        def beside(values: np.ndarray, offset: tuple[int, int], shape=begin_nodes.shape) -> np.ndarray:
-            i, j = _REACH + offset[0], _REACH + offset[1]
-            return values[i : i + shape[0], j : j + shape[1]]
-
-        # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
-        for step, (i, j) in enumerate(steps):
-            length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
-            of_edges = length * _mean_along(i, j, half, partial(beside, cost))
-            if height is not None:
-                of_edges *= _mean_factor(i // 2, j // 2, length, partial(beside, height), slope_fn, from_sources)
-            end_nodes = nodes[(half + i) % 2]
-            row, column = (  # clipped where the edge leaves the raster: its cost is infinite
-                np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
-                for n, most, offset in zip(begin_nodes.shape, end_nodes.shape, (i, j), strict=True)
-            )
-            yield begin_nodes, step, end_nodes[0, 0] + (row * end_nodes.shape[1])[:, None] + column, of_edges
+def _beside(values: Padded, shape: tuple[int, ...], offset: tuple[int, int]) -> np.ndarray:
+    # The values of the cells that lie at an offset, in rows and columns, from the cells of a raster without rim.
+    i, j = _REACH + offset[0], _REACH + offset[1]
+    return values[i : i + shape[0], j : j + shape[1]]
 
 
 def _straight_costs(

@@ -129,14 +129,12 @@ def taut_corners(
         ahead = blocked[1, 1] | blocked[-1, 1]
         aside = blocked[1, 1] | blocked[1, -1]
         either = blocked[1, -1] | blocked[-1, 1]
-        is_taut_ahead, is_taut_aside, is_taut_both = (
-            mask[sector.row, sector.column] for mask in (ahead, aside, either)
-        )
-        is_first_taut = is_taut_both if sector.is_slanted else is_taut_aside
+        taut_ahead, taut_aside, taut_both = (mask[sector.row, sector.column] for mask in (ahead, aside, either))
+        taut_first = taut_both if sector.is_slanted else taut_aside
         for corner, width, row in _scan(sector, ahead, ahead | aside if sector.is_slanted else aside):
             # The first cell of row 0 is the corner itself. Adjacent sectors share the cells straight ahead and aside.
-            has_first = is_first_taut[corner] & sector.keeps_aside & (row > 0)
-            has_others = is_taut_both[corner] if row else is_taut_ahead[corner] & sector.keeps_ahead
+            has_first = taut_first[corner] & sector.keeps_aside & (row > 0)
+            has_others = taut_both[corner] if row else taut_ahead[corner] & sector.keeps_ahead
             begin = np.where(has_first, 0, 1)
             length = np.where(has_others, width, 1) - begin
             is_run = length > 0
