@@ -92,14 +92,16 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
     places = np.flatnonzero(corner_cells(free))
     corner_at = np.full(free.size, -1, np.int32)  # by cell, -1 for none
     corner_at[places] = np.arange(len(places))
+    # 1. Scan the sectors of all corners, in rows that end at the first other corner: the two see each other.
     keys = [np.zeros(0, np.int64)]  # corners i < j have the key i * len(places) + j
     for sector in _sectors(free, connectivity):
         is_corner = np.logical_or.reduce(list(sector.blocked.values()))
         for corner, width, row in _scan(sector, is_corner, is_corner):
-            last = corner_at[sector.cells(corner, row, width - 1)]  # no run of cells continues past a corner
+            last = corner_at[sector.cells(corner, row, width - 1)]
             is_pair = (last >= 0) & (last != corner)
             ends = corner[is_pair], last[is_pair]
             keys.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
+    # 2. Keep each pair once: both corners find it.
     return np.divmod(np.unique(np.concatenate(keys)), max(len(places), 1))
 
 
