@@ -1,10 +1,21 @@
-"""Cost distance over a raster: a search for shortest paths, proven lower bounds, and fast marching for large rasters.
+"""Cost distance over a raster: a search for shortest paths, proven lower bounds, and a march over large rasters.
 
-Dijkstra's algorithm finds shortest paths over straight edges, up to four cells long, between centers and corners of
-cells. Costs of edges are exact for a cost per length that is constant in each cell. With heights, edges join only
-centers, and are up to six cells long.
+The costs of a raster are constant in each cell. ``rasters.py`` calls one of three functions::
 
-References: Mitchell and Papadimitriou, "The weighted region problem", 1991; for fast marching see ``march.py``.
+    search_finely    without heights, cells divided into parts; with proven bounds on request
+    search           with heights
+    march            without heights, many cells: an approximation
+
+:func:`search` runs Dijkstra's algorithm on a graph of straight edges between corners (o) and centers (x) of cells, up
+to four cells long, with their exact costs. With heights, edges join centers alone and are up to six cells long::
+
+    o-------o-------o
+    |   x   |   x   |     Edges lead from each node to the nodes around it, in all directions in which
+    o-------o-------o     they pass no other node.
+    |   x   |   x   |
+    o-------o-------o
+
+References: Mitchell and Papadimitriou, "The weighted region problem", 1991. For the march see ``march.py``.
 """
 
 from collections.abc import Callable
@@ -24,34 +35,31 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import as_numbers, shortened
 from plr_jax.eikonal.program import rescaling_of
 
-# Numbers of cells for a search for paths, which takes about 4 kB a cell.
-_FINE_CELLS = 60_000  # smaller rasters are divided into about so many cells
-MOST_CELLS = 1 << 21  # most cells by default
-MOST_ON_REQUEST = 1 << 22  # most cells if bounds or heights need the search
+# Numbers of cells for a search for paths, which takes about 4 kB a cell:
+_FINE_CELLS = 60_000  # smaller rasters are divided into about so many cells: 240 MB
+MOST_CELLS = 1 << 21  # most cells by default: 8 GB
+MOST_ON_REQUEST = 1 << 22  # most cells if bounds or heights need the search: 17 GB
+# Edges of the graph:
 _HALVES = 8  # most half cells of an edge along each axis, without heights
-_REACH = 6  # most cells of an edge along each axis, with heights
+_REACH = 6  # most cells of an edge along each axis, with heights; also the width of the rim of barriers
+# Marches:
 _LARGEST_RATIO = 1e5  # of two costs in a march; at 1e6, scikit-fmm returns NaN
 _TINY = 1e-9  # distance in cells from a source to the front of a march
-_ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
+# Lower bounds:
 _SLACK = 0.02  # share by which lower bounds start below the distances
 _PROJECTIONS = 400  # rounds of projections; where costs jump, 400 halve the gap that 100 leave
 _RELAXATION = 1.5  # step of a round, as a multiple of the step that projections ask for
+_ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
+Padded = Float[np.ndarray, "padded_rows padded_columns"]  # with a rim of `_REACH` cells
 Nearest = Int[np.ndarray, "rows columns"]
+Nodes = Int[np.ndarray, "_ _"]  # numbers of nodes: corners or centers of cells, row by row
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 # Values of the cells that lie at an offset, in rows and columns, from other cells.
 AtOffset = Callable[[tuple[int, int]], np.ndarray]
-
-
-def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
-    # Numbers of rows and columns of parts of each cell, so that parts are about square and a small raster has about
-    # _FINE_CELLS of them. They are odd: the center of a cell is the center of a part.
-    scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
-    wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
-    return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
 
 
 @dataclass(frozen=True)
@@ -61,8 +69,8 @@ class PathTree:
     Sources are given points. Coordinates are relative to the raster's lower corner.
     """
 
-    # For each node the next one of its path, negative without a path. Nodes are corners of parts row by row (none
-    # with heights), then centers of parts row by row, then sources.
+    # For each node the next one of its path, negative without a path. Nodes are, with parts instead of cells:
+    #   | corners, row by row (none with heights) | centers, row by row | sources |
     next_node: Int[np.ndarray, " nodes"]
     shape: tuple[int, int]  # rows and columns of parts of cells
     side: Sides  # of a part
@@ -97,6 +105,17 @@ class PathTree:
         return path[np.r_[True, is_turn, True][: len(path)]]
 
 
+def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
+    """Return numbers of rows and columns into which to divide each cell.
+
+    The parts are about square, and a small raster has about ``_FINE_CELLS`` of them. The numbers are odd: the center
+    of a cell is the center of a part.
+    """
+    scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
+    wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
+    return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
+
+
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
@@ -112,139 +131,8 @@ def search_finely(
     results = [distance, nearest]
     if bounds:
         assert at_corners is not None
-        results += [_below(fine, part_side, points, distance, at_corners), distance * (1 + _ROUNDING)]
+        results += [_lower_bound(fine, part_side, points, distance, at_corners), distance * (1 + _ROUNDING)]
     return [table[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for table in results], tree
-
-
-def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
-    """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
-
-    A function is a lower bound if it is at most 0 at the sources, and nowhere steeper than the ``cost`` per length of
-    the cell. Begin with the costs of known paths, ``at_centers`` and ``at_corners`` of cells, interpolated linearly
-    in the four triangles around each center. Repeated projections make this function less steep, and a final
-    rescaling makes it a lower bound.
-    """
-    #   3-------2    1. The triangles of a cell, one at each side. Triangle k has the side from corner k to the next
-    #   | \ 2 / |       corner, along an axis, and the center m. The corners k of all cells are the part places[k] of
-    #   |3  m  1|       the table of corners.
-    #   | / 0 \ |
-    #   0-------1
-    least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
-    cost, at_centers, at_corners = cost / least, at_centers / least, at_corners / least
-    places = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
-    triangles = list(zip(places, (*places[1:], places[0]), (0, 1, 0, 1), strict=True))
-    is_known = np.isfinite(at_corners)  # paths do not pass where two barriers touch: nothing binds such a corner
-    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q, _ in triangles]  # largest slopes
-    middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
-
-    def steepness(triangle: int) -> Raster:
-        # The slope of the linear function over its largest value. Along the side of length s, it is (u_q - u_p) / s.
-        # Across, from the center to the middle of the side, half the other side of the cell away, it is
-        # ((u_p + u_q) / 2 - u_m) / (t / 2).
-        p, q, axis = triangles[triangle]
-        along = (corner[q] - corner[p]) / side[axis]
-        across = (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
-        return np.sqrt(along * along + across * across) / most[triangle]
-
-    # 2. Project: move the three values of a steep triangle towards their mean, until its slope is allowed. All
-    #    triangles are treated at once, and each value takes the mean of the changes that steep triangles ask for.
-    for _ in range(_PROJECTIONS):
-        change, count = ([np.zeros_like(values) for values in (middle, corner)] for _ in range(2))
-        for triangle, (p, q, _) in enumerate(triangles):
-            excess = np.maximum(steepness(triangle), 1.0)
-            mean = (corner[p] + corner[q] + middle) / 3
-            shrinkage, is_steep = 1 / excess - 1, excess > 1
-            for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
-                change[kind][place] += shrinkage * (values[place] - mean)
-                count[kind][place] += is_steep
-        middle += _RELAXATION * change[0] / np.maximum(count[0], 1)
-        corner += _RELAXATION * change[1] / np.maximum(count[1], 1)
-    # 3. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
-    factor = (1 + _ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
-    around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
-    lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
-    # 4. Subtract the largest value that a source may have: the value of its cell's center, plus the cost of the
-    #    motion to the center.
-    home = cells_of(points, side, cost.shape)
-    to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
-    home = tuple(home.T)
-    at_sources = np.max(lower[home] + cost[home] * to_center)
-    lower = np.maximum(lower - at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
-    return np.where(np.isfinite(at_centers), least * lower, np.inf)
-
-
-def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
-    """Return the row and column of the raster cell of each point.
-
-    ``points`` are relative to the raster's lower corner; ``side`` is the width and height of a cell.
-    """
-    return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
-
-
-def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
-    """Return approximate cost distances of all cells by fast marching, and the index of each cell's nearest source.
-
-    The sources are ``points``; ``side`` is the width and height of a cell. Without a path to a source, the distance
-    is ``inf`` and the index -1.
-    """
-    least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
-    if most > _LARGEST_RATIO * least:
-        raise ValueError(
-            f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
-            f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
-        )
-    cost = cost / least  # scikit-fmm ignores some small costs
-    # 1. Cells with a source are inside of the first front. In a cell with several sources the first one counts: it is
-    #    written last.
-    home = tuple(cells_of(points, side, cost.shape)[::-1].T)
-    label = np.full(cost.shape, -1, np.int32)
-    label[home] = np.arange(len(points))[::-1]
-    front = np.where(label >= 0, -_TINY * side.min(), side.min())
-    # 2. March, unless all free cells have a source.
-    distance = np.where(label >= 0, 0.0, np.inf)
-    if (np.isfinite(cost) & (label < 0)).any():
-        front = np.ma.MaskedArray(front, np.isinf(cost))
-        time = skfmm.travel_time(front, 1 / cost, dx=side[::-1].tolist(), order=2)
-        distance = np.where(label >= 0, 0.0, np.ma.filled(time, np.inf))
-    label = _labels(distance, cost, side, label) if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
-    return least * distance, label
-
-
-def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Return, for each raster cell, the index of the source that steepest descent of the ``distance`` reaches.
-
-    ``step`` is the width and height of a cell. ``label`` is the index of the source in cells that hold a source, and
-    -1 in other cells; descent that ends in another cell also gives -1.
-    """
-    # 1. The next cell of each cell: of the sixteen cells around it (x), the one through which the distance is least.
-    #      . x . x .      Eight steps and their opposites. For a step (i, j), `part(values, (0, 0))` are the values of
-    #      x x x x x      all cells from which the step stays in the raster, `part(values, (i, j))` the values of the
-    #      . x o x .      cells to which it leads.
-    #      x x x x x
-    #      . x . x .
-    toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
-    index = toward.copy()
-    least = np.full(distance.shape, np.inf)
-    for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
-        first = np.maximum([0, 0], [-i, -j])
-        last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
-
-        def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
-            return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
-
-        cost_of_step = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
-        for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
-            through = part(distance, b) + cost_of_step
-            is_better = (through < part(least, a)) & (part(distance, b) < part(distance, a))
-            part(least, a)[is_better] = through[is_better]
-            part(toward, a)[is_better] = part(index, b)[is_better]
-    del index, least
-    # 2. Pointer doubling: replace each next cell by its next cell until nothing changes. Next cells have smaller
-    #    distances, so paths end: in cells with a source, or where no next cell is better.
-    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
-    while not np.array_equal(further := toward[toward], toward):
-        toward = further
-    return label.ravel()[toward].reshape(label.shape)
 
 
 def search(
@@ -265,7 +153,8 @@ def search(
         The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
         heights); the index of each cell's nearest source (-1 without a path); and the paths.
     """
-    # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
+    # 1. Pad costs and heights with a rim of barriers, so that edges may leave the raster. Barriers get the height of
+    #    the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
     rows, columns = cost.shape
     home = cells_of(points, side, cost.shape)
@@ -275,73 +164,62 @@ def search(
         )
         height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
     cost = np.pad(cost, _REACH, constant_values=np.inf)
-    # 2. Nodes are corners of cells, then centers, then sources; with heights, there are no corners. Steps of edges
-    #    are in half cells, and pass no other node. Counted in half cells, corners have even places and centers odd
-    #    ones:
-    #      4  o       o       o      A step has two odd or two even numbers, so i + j is even. It passes no node if
-    #      3      x       x          gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place, (i / 2, j / 2), which
-    #      2  o       o       o      is no node if i / 2 + j / 2 is odd.
+    # 2. Number the nodes: corners of cells (`nodes[0]`, none with heights), then centers (`nodes[1]`), then sources.
+    num_corners = (rows + 1) * (columns + 1) if height is None else 0
+    num_nodes = num_corners + rows * columns
+    nodes = {1: np.arange(num_corners, num_nodes).reshape(rows, columns)}
+    if height is None:
+        nodes[0] = np.arange(num_corners).reshape(rows + 1, columns + 1)
+    # 3. List the steps of edges from each node, in half cells, so that they pass no other node. Counted in half
+    #    cells, corners have even places and centers odd ones:
+    #
+    #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no node
+    #      3      x       x        if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place, (i / 2, j / 2), which is
+    #      2  o       o       o    no node if i / 2 + j / 2 is odd.
     #      1      x       x
     #      0  o       o       o
     #         0   1   2   3   4
-    halves, corner_shape = (1,), (0, 0)
-    steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+    #
     if height is None:
-        halves, corner_shape = (0, 1), (rows + 1, columns + 1)
         half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
         steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
-    corners = corner_shape[0] * corner_shape[1]
-    node = np.arange(corners + rows * columns)
-    nodes = node[:corners].reshape(corner_shape), node[corners:].reshape(rows, columns)
-    # 3. Straight motions from sources to nodes in and beside their cells. With heights, sources are moved to centers.
-    near, straight = np.zeros((1, 2), int), np.zeros((len(points), 1))
+    else:
+        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+    # 4. List the edges from sources to nodes in and beside their cells, at offsets `near` from the centers of cells.
+    #    With heights, sources move to the centers, at no cost.
+    near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
     if height is None:
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
-        straight = _straight_costs(cost, side, points, home, near)
-    # 4. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
-    #    Rows of `end` and `weight`, views of the arrays of all edges, belong to nodes, and columns to steps.
-    size = len(node) * len(steps)
-    ends = np.zeros(size + straight.size, np.int32)
-    costs = np.append(np.empty(size), straight)
-    end, weight = ends[:size].reshape(len(node), -1), costs[:size].reshape(len(node), -1)
-    for half in halves:
-        begin_nodes = nodes[half]
-        rows_here = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
-
-        def beside(values: np.ndarray, offset: tuple[int, int], shape=begin_nodes.shape) -> np.ndarray:
-            i, j = _REACH + offset[0], _REACH + offset[1]
-            return values[i : i + shape[0], j : j + shape[1]]
-
-        # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
-        for edge, (i, j) in enumerate(steps):
+        costs_to_near = _straight_costs(cost, side, points, home, near)
+    to_near = np.stack([_end_nodes(nodes, 1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
+    # 5. List the edges of all nodes, by node and step. The cost of an edge is its length, times the mean cost along
+    #    it, times the mean factor of its parts' slopes. Fill the arrays in place, as they take most of the memory.
+    size = num_nodes * len(steps)
+    ends = np.append(np.empty(size, np.int32), to_near.astype(np.int32))
+    costs = np.append(np.empty(size), costs_to_near)
+    end, cost_of = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
+    for half, begin_nodes in nodes.items():
+        edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
+        cost_at = partial(_beside, cost, begin_nodes.shape)
+        for step, (i, j) in enumerate(steps):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
-            of_edges = length * _mean_along(i, j, half, partial(beside, cost))
+            of_step = length * _mean_along(i, j, half, cost_at)
             if height is not None:
-                of_edges *= _mean_factor(i // 2, j // 2, length, partial(beside, height), slope_fn, from_sources)
-            weight[rows_here, edge] = of_edges.ravel()
-            end_nodes = nodes[(half + i) % 2]
-            row, column = (  # clipped where the edge leaves the raster: its cost is infinite
-                np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
-                for n, most, offset in zip(begin_nodes.shape, end_nodes.shape, (i, j), strict=True)
-            )
-            end[rows_here, edge] = ((end_nodes[0, 0] + row * end_nodes.shape[1])[:, None] + column).ravel()
-    to_near = ends[size:].reshape(straight.shape)
-    for edge, step in enumerate(near):
-        end_nodes = nodes[(1 + step[0]) % 2]
-        to_near[:, edge] = end_nodes[tuple(np.clip(home + (1 + step) // 2, 0, np.array(end_nodes.shape) - 1).T)]
+                height_at = partial(_beside, height, begin_nodes.shape)
+                of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn, from_sources)
+            end[edges, step], cost_of[edges, step] = _end_nodes(nodes, half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
         # The cells around each corner: a and b below it, c and d above it.
         a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
         contacts = nodes[0][(a == d) & (b == c) & (a != b)]
-        weight[contacts] = np.inf
-    # 5. Shortest paths outward from all sources at once; an infinite weight is no edge. Each node has an edge for
-    #    each step, and each source an edge to each place in `near`.
+        cost_of[contacts] = np.inf
+    # 6. Find shortest paths outward from all sources at once; an infinite cost is no edge.
     begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
-    sources = len(node) + np.arange(len(points))
+    sources = num_nodes + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
-    nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(node), -1)]
+    nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - num_nodes, -1)]
     tree = PathTree(toward, (rows, columns), side, points if height is None else (home[:, ::-1] + 0.5) * side)
     if height is not None:
         return distance[nodes[1]], None, nearest, tree
@@ -349,8 +227,25 @@ def search(
     return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
+def _end_nodes(nodes: dict[int, Nodes], half: int, i: int, j: int) -> Nodes:
+    """Return the nodes to which a step leads from all corners (``half`` is 0) or centers (1) of cells."""
+    # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
+    end_nodes = nodes[(half + i) % 2]
+    row, column = (  # clipped where the edge leaves the raster: its cost is infinite
+        np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
+        for n, most, offset in zip(nodes[half].shape, end_nodes.shape, (i, j), strict=True)
+    )
+    return (end_nodes[0, 0] + row * end_nodes.shape[1])[:, None] + column
+
+
+def _beside(values: Padded, shape: tuple[int, ...], offset: tuple[int, int]) -> np.ndarray:
+    # The values of the cells that lie at an offset, in rows and columns, from the cells of a raster without rim.
+    i, j = _REACH + offset[0], _REACH + offset[1]
+    return values[i : i + shape[0], j : j + shape[1]]
+
+
 def _straight_costs(
-    cost: Float[np.ndarray, "padded_rows padded_columns"],
+    cost: Padded,
     side: Sides,
     points: Points,
     home: Int[np.ndarray, "k 2"],  # row and column of each point's cell
@@ -361,12 +256,15 @@ def _straight_costs(
     Nodes are centers and corners of cells. A motion through a barrier costs ``inf``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
+    #
     #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `leaves` are the shares of
     #      |       | . end |        the motion at which it leaves the row and the column; 1 if it does not. The first
     #      |       .       |        cell has the share `first` of the motion, the second cell the share last - first,
     #      +-----.-+-------+        and the third cell the rest.
     #      | begin |       |
     #      +-------+-------+
+    #
+    # 1. Find where the motion leaves the row and the column, and the cells.
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -374,13 +272,47 @@ def _straight_costs(
         first, last = leaves.min(axis=2), leaves.max(axis=2)
         beyond = np.sign(near) * (leaves < 1)
         cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
-        is_along = (change == 0) & (near < 0)  # along the border to the previous cell: the cheaper cell counts
+        # 2. Average the costs of the cells. Along the border to the previous cell, the cheaper cell counts.
+        is_along = (change == 0) & (near < 0)
         cost_1, cost_2, cost_3 = (
             np.minimum(*(cost[tuple(np.moveaxis(each + _REACH, 2, 0))] for each in (cell, cell - is_along)))
             for cell in cells
         )
         mean = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
     return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+
+
+def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
+    """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
+
+    Each motion goes by ``i`` half cells across rows and by ``j`` half cells across columns. All motions begin in the
+    center of a cell (``half`` is 1) or in its lower corner (``half`` is 0). For an offset in rows and columns,
+    ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin.
+    """
+    # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which starts at
+    #    `half` and counts half cells, is even. The middle of each piece, in cells, tells its cell.
+    #
+    #      +-------+-------+-------+
+    #      |       |      .|.  x   |      From center to center by i = 2 and j = 4: cuts at 1/4, 1/2 and 3/4.
+    #      +-------+---.---+-------+
+    #      |   x  .|.      |       |
+    #      +-------+-------+-------+
+    #
+    cuts = sorted({0.0, 1.0} | {k / abs(n) for n in (i, j) for k in range(1, abs(n)) if (half + k) % 2 == 0})
+    middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]
+    cells = [(floor(row), floor(column)) for row, column in middles]
+    # 2. Add the cost of each piece. Along the border of two cells the cheaper one counts.
+    mean: Any = 0.0
+    for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
+        cost = cost_at((row, column))
+        if half == 0 and 0 in (i, j):
+            cost = np.minimum(cost, cost_at((row - (i == 0), column - (j == 0))))
+        mean = mean + (b - a) * cost
+    # 3. Where the motion passes a corner, one of the other two cells there must be no barrier.
+    for a, b in pairwise(cells):
+        if a[0] != b[0] and a[1] != b[1]:
+            mean = np.where(np.isinf(np.minimum(cost_at((a[0], b[1])), cost_at((b[0], a[1])))), np.inf, mean)
+    return mean
 
 
 def _mean_factor(
@@ -407,33 +339,140 @@ def _mean_factor(
     return np.mean(np.broadcast_to(factor, slopes.shape), axis=0)
 
 
-def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
-    """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
+def _lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
+    """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
 
-    Each motion goes by ``i`` half cells across rows and by ``j`` half cells across columns. All motions begin in the
-    center of a cell (``half`` is 1) or in its lower corner (``half`` is 0). For an offset in rows and columns,
-    ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin.
+    A function is a lower bound if it is at most 0 at the sources and nowhere steeper than the cost of the cell. The
+    costs of known paths from centers and corners, linear in the four triangles around each center, are nearly such a
+    function. Repeated projections make steep triangles less steep, and a final rescaling removes the rest.
     """
-    # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which goes from
-    #    `half` to `half + change` in half cells, is even. The middle of each piece, in cells, tells its cell.
-    ends = {0.0, 1.0}
-    for change in (i, j):
-        ends |= {
-            abs(at - half) / abs(change)
-            for at in range(min(half, half + change), max(half, half + change) + 1)
-            if change and at % 2 == 0
-        }
-    cuts = sorted(ends)
-    middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]
-    cells = [(floor(row), floor(column)) for row, column in middles]
-    # 2. Along the border of two cells the cheaper one counts.
-    mean: Any = 0.0
-    for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
-        cost = cost_at((row, column))
-        if half == 0 and 0 in (i, j):
-            cost = np.minimum(cost, cost_at((row - (i == 0), column - (j == 0))))
-        mean = mean + (b - a) * cost
-    for a, b in pairwise(cells):
-        if a[0] != b[0] and a[1] != b[1]:  # a corner: one of the other two cells there must be no barrier
-            mean = np.where(np.isinf(np.minimum(cost_at((a[0], b[1])), cost_at((b[0], a[1])))), np.inf, mean)
-    return mean
+    # 1. Divide costs by the least, so that squares neither overflow nor vanish.
+    least = cost.min()
+    cost, at_centers, at_corners = cost / least, at_centers / least, at_corners / least
+    # 2. List the triangles of a cell, one at each side. Triangle k has the side from corner k to the next corner,
+    #    along an axis, and the center m. The corners k of all cells are the part places[k] of the table of corners.
+    #
+    #      3-------2
+    #      | \ 2 / |
+    #      |3  m  1|
+    #      | / 0 \ |
+    #      0-------1
+    #
+    places = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
+    triangles = list(zip(places, (*places[1:], places[0]), (0, 1, 0, 1), strict=True))
+    is_known = np.isfinite(at_corners)  # paths do not pass where two barriers touch: nothing binds such a corner
+    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q, _ in triangles]  # largest slopes
+    middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
+
+    def steepness(triangle: int) -> Raster:
+        # The slope of the linear function over its largest value. Along the side of length s, it is (u_q - u_p) / s.
+        # Across, from the center to the middle of the side, half the other side of the cell away, it is
+        # ((u_p + u_q) / 2 - u_m) / (t / 2).
+        p, q, axis = triangles[triangle]
+        along = (corner[q] - corner[p]) / side[axis]
+        across = (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
+        return np.sqrt(along * along + across * across) / most[triangle]
+
+    # 3. Project: move the three values of a steep triangle towards their mean, until its slope is allowed. All
+    #    triangles are treated at once, and each value takes the mean of the changes that steep triangles ask for.
+    for _ in range(_PROJECTIONS):
+        change, count = ([np.zeros_like(values) for values in (middle, corner)] for _ in range(2))
+        for triangle, (p, q, _) in enumerate(triangles):
+            excess = np.maximum(steepness(triangle), 1.0)
+            mean = (corner[p] + corner[q] + middle) / 3
+            shrinkage, is_steep = 1 / excess - 1, excess > 1
+            for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
+                change[kind][place] += shrinkage * (values[place] - mean)
+                count[kind][place] += is_steep
+        middle += _RELAXATION * change[0] / np.maximum(count[0], 1)
+        corner += _RELAXATION * change[1] / np.maximum(count[1], 1)
+    # 4. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
+    factor = (1 + _ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
+    around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
+    lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
+    # 5. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
+    #    there.
+    home = cells_of(points, side, cost.shape)
+    to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
+    home = tuple(home.T)
+    at_sources = np.max(lower[home] + cost[home] * to_center)
+    lower = np.maximum(lower - at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
+    return np.where(np.isfinite(at_centers), least * lower, np.inf)
+
+
+def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
+    """Return approximate cost distances of all cells by fast marching, and the index of each cell's nearest source.
+
+    The sources are ``points``; ``side`` is the width and height of a cell. Without a path to a source, the distance
+    is ``inf`` and the index -1.
+    """
+    least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
+    if most > _LARGEST_RATIO * least:
+        raise ValueError(
+            f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
+            f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
+        )
+    cost = cost / least  # scikit-fmm ignores some small costs
+    # 1. Begin with a front around cells with a source. In a cell with several sources the first one counts: it is
+    #    written last.
+    home = tuple(cells_of(points, side, cost.shape)[::-1].T)
+    label = np.full(cost.shape, -1, np.int32)
+    label[home] = np.arange(len(points))[::-1]
+    front = np.where(label >= 0, -_TINY * side.min(), side.min())
+    # 2. March, unless all free cells have a source.
+    distance = np.where(label >= 0, 0.0, np.inf)
+    if (np.isfinite(cost) & (label < 0)).any():
+        front = np.ma.MaskedArray(front, np.isinf(cost))
+        time = skfmm.travel_time(front, 1 / cost, dx=side[::-1].tolist(), order=2)
+        distance = np.where(label >= 0, 0.0, np.ma.filled(time, np.inf))
+    # 3. Find the nearest source of each cell.
+    if len(points) == 1:
+        return least * distance, np.where(np.isfinite(distance), 0, -1)
+    return least * distance, _reached_sources(distance, cost, side, label)
+
+
+def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
+    """Return the index of the source that steepest descent of the distance reaches from each cell of a raster.
+
+    ``step`` is the width and height of a cell. ``label`` is the source's index in cells with a source, else -1.
+    """
+    # 1. Find the next cell of each cell (o): of the sixteen cells around it (x), the one through which the distance
+    #    is least. Try eight steps and their opposites.
+    #
+    #      . x . x .      For a step (i, j), `part(values, (0, 0))` are the values of all cells from which the step
+    #      x x x x x      stays in the raster, and `part(values, (i, j))` those of the cells to which it leads.
+    #      . x o x .
+    #      x x x x x
+    #      . x . x .
+    #
+    toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
+    index = toward.copy()
+    least = np.full(distance.shape, np.inf)
+    for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
+        first = np.maximum([0, 0], [-i, -j])
+        last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
+
+        def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
+            return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
+
+        cost_of_step = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
+        for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
+            through = part(distance, b) + cost_of_step
+            is_better = (through < part(least, a)) & (part(distance, b) < part(distance, a))
+            part(least, a)[is_better] = through[is_better]
+            part(toward, a)[is_better] = part(index, b)[is_better]
+    del index, least
+    # 2. Follow the next cells by pointer doubling: replace each next cell by its next cell until nothing changes.
+    #    Next cells have smaller distances, so paths end: in cells with a source, or where no next cell is better.
+    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
+    while not np.array_equal(further := toward[toward], toward):
+        toward = further
+    return label.ravel()[toward].reshape(label.shape)
+
+
+def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
+    """Return the row and column of the raster cell of each point.
+
+    ``points`` are relative to the raster's lower corner; ``side`` is the width and height of a cell.
+    """
+    return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)

@@ -1,7 +1,20 @@
-"""Visibility polygons of many viewpoints, computed by triangular expansion and stored in one sorted table.
+r"""Visibility polygons of many viewpoints, computed by triangular expansion and stored in one sorted table.
 
-The directions from a viewpoint are divided into intervals. Within an interval, the same edge of the boundary is
-nearest. A visibility polygon is stored as the sorted directions at which intervals start, each with its nearest edge.
+1. *Triangular expansion* (:func:`_expand`) divides all that a viewpoint v sees into *cones of sight*::
+
+          c          A cone has its apex at the viewpoint, and is bounded by the directions of two vertices (a and b).
+         / \         It ends at a side (ab) that is a wall. Else it enters the next triangle, whose opposite corner
+        /   \        (c) splits it in two, one for each exit side, unless the corner is outside the cone or on a
+       a-----b       bound.
+        \   /
+          v
+
+2. Within the directions of a cone that ends at a wall, this wall is the nearest boundary edge. :func:`visibility_of`
+   sorts these intervals of directions into a :class:`VisibilityTable`.
+3. :meth:`VisibilityTable.sees` finds the interval of a point's direction, and tests whether the point is in front of
+   its edge. Without a table, :func:`triangles_within` collects the triangles that cones visit.
+
+Cones of many viewpoints advance together. The tests are exact, since vertices and viewpoints lie on a grid.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,16 +30,14 @@ from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, previous_half_edge
 from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
 
-# Triangular expansion: a cone of sight has its apex at a viewpoint, is bounded by the directions of two vertices, and
-# leaves a triangle through an edge. If the edge is a wall, the cone ends there. Else the opposite corner of the next
-# triangle splits the cone in two, one for each exit edge, unless the corner lies outside the cone or on a bound.
-# Cones of many viewpoints advance together. The tests are exact, since vertices and viewpoints lie on a grid.
+# Limits of the memory:
 _CONES = 1 << 18  # cones that advance at a time
 _VIEWS = 1 << 12  # viewpoints processed at a time
-_BLUR = 1e-14  # rounding error of a pseudo-angle, with a margin
-_NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
+# Directions:
+_BLUR = 1e-14  # rounding error of a pseudo-angle, which is at most 4, with a margin
+_NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut, far more than angles round
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
-Rays: TypeAlias = Float[np.ndarray, "2 n"]
+Rays: TypeAlias = Float[np.ndarray, "2 n"]  # directions from viewpoints
 Indices: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 Points: TypeAlias = Float[np.ndarray, "n 2"]
@@ -36,9 +47,13 @@ Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points from which visibility is computed, in all directions or, on walls, only within *sectors*.
+    r"""Points that look in all directions or, on walls, only into *sectors*, directions between two walls.
 
-    A sector is a range of directions between two walls.
+    ::
+
+        closing wall \   free   / opening wall: boundary edges have free space on their left
+                      \        /
+                       viewpoint
     """
 
     points: Vectors
@@ -52,23 +67,18 @@ class Viewpoints:
         return Viewpoints(self.points[rows], place[self.owner[is_kept]], self.edge[is_kept])
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return, for each sector, the vector from the viewpoint to the far end of the wall on the sector's right.
-
-        A sector is a range of directions between two walls.
-        """
+        """Return a vector from the viewpoint along the right wall of each sector."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
+        """Return a vector from the viewpoint along the left wall of each sector."""
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, " sectors"]:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, " sectors"]:
-        """Return, for each sector, the index of the vertex at the far end of the wall on the sector's left.
-
-        A sector is a range of directions between two walls.
-        """
+        """Return the vertex at the far end of each sector's left wall."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
@@ -106,52 +116,44 @@ class _Cones:
         return _Cones(*columns, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
-def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Return the pairs of a viewpoint and a triangle of which the viewpoint sees a part, as indices.
-
-    Viewpoint ``i`` looks only into the directions counterclockwise from the unit vector ``right[i]`` to ``left[i]``,
-    at most half a turn. Zero vectors stand for all directions. Pairs may repeat.
-    """
-    # 1. Widen these ranges by the angle of the tolerance at the farthest distance, to allow for rounded directions,
-    #    except ranges that are half a turn wide up to rounding.
-    far = np.ptp(triangulation.boundary.vertices, axis=0).max()
-    wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
-    right = far * right - wider[:, None] * turned_left(right)
-    left = far * left + wider[:, None] * turned_left(left)
-    # 2. Intersect each cone of sight with the range of its viewpoint. They meet if the right bound of one lies in the
-    #    other, and the left bound of one, too. The intersection has a bound of the range if this lies in the cone.
-    cones = _first_cones(triangulation, views)
-    right, left = right[cones.view].T, left[cones.view].T
-    is_whole = ~right.any(axis=0)
-    cuts_right, cuts_left = (_inside(bound, cones.right, cones.left) for bound in (right, left))
-    meets = cuts_right | _inside(cones.right, right, left)
-    meets &= cuts_left | _inside(cones.left, right, left)
-    right = np.where(cuts_right & ~is_whole, right, cones.right)
-    left = np.where(cuts_left & ~is_whole, left, cones.left)
-    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(np.flatnonzero(is_whole | meets))
-    # 3. Collect the triangles that these cones visit.
-    visited = [np.stack([first.view, first.half_edge // 3])]
-    visited += [new for _, _, new in _expand(triangulation, views, first)]
-    return np.concatenate(visited, axis=1)
-
-
-def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
-    return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
+def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
+    """Return the first cones of sight: from each viewpoint through sides of the triangles that contain it."""
+    # 1. Viewpoints without sectors look through all three sides of their triangle.
+    around = np.setdiff1d(np.arange(len(views.points)), views.owner)
+    triangle, _ = triangulation.locate(views.points[around])
+    pairs = [(around, 3 * triangle + side) for side in range(3)]
+    # 2. Viewpoints inside of a wall look through the two other sides of the wall's triangle.
+    view, half_edge = views.owner, triangulation.of_wall[views.edge]
+    at_vertex = views.at_vertex(triangulation.boundary)
+    pairs += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
+    # 3. Viewpoints at vertices look through the opposite sides of all triangles of their sectors. Turn around the
+    #    vertex, triangle by triangle, from the wall that opens the sector to the wall that closes it:
+    #
+    #            .                      The triangle on the left of half-edge h, which starts at vertex v, has the
+    #     next  / \  opposite side       opposite side next_half_edge(h). The next half-edge from v, counterclockwise,
+    #          v---.                     is the twin of previous_half_edge(h); there is none if that is a wall.
+    #            h
+    view, half_edge = view[at_vertex], half_edge[at_vertex]
+    while len(view):
+        pairs.append((view, next_half_edge(half_edge)))
+        half_edge = triangulation.twin[previous_half_edge(half_edge)]
+        view, half_edge = view[half_edge >= 0], half_edge[half_edge >= 0]
+    # 4. Bound each cone by the ends of its side: half-edges go counterclockwise around the viewpoint.
+    view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*pairs, strict=True))
+    right, left = triangulation.origin[half_edge], triangulation.origin[next_half_edge(half_edge)]
+    vertices, points = triangulation.boundary.vertices, views.points[view]
+    return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
 
 
 def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Let cones of sight advance from triangle to triangle until all end at walls.
-
-    Each step yields the cones that have ended, pairs (viewpoint, visible vertex) and pairs (viewpoint, triangle that
-    a cone enters). Pairs are indices.
-    """
+    """Expand cones of sight: yield cones that end at walls, pairs (viewpoint, vertex seen), and triangles visited."""
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
         # 1. Cones through walls end. The others go on.
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
         walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
-        # 2. The opposite corner of the next triangle may be seen, and may split the cone:
+        # 2. The corner ahead, opposite in the next triangle, may be seen, and may split the cone:
         #
         #          c                c: the corner ahead, the origin of the left exit
         #         / \
@@ -185,52 +187,63 @@ def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> I
         yield walls, np.stack([cones.view[is_seen], ahead[is_seen]]), np.stack([cones.view, entry // 3])
 
 
-def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Return the first cones of sight: from each viewpoint through sides of the triangles that contain it."""
-    # 1. Viewpoints without sectors look through all three sides of their triangle.
-    around = np.setdiff1d(np.arange(len(views.points)), views.owner)
-    triangle, _ = triangulation.locate(views.points[around])
-    pairs = [(around, 3 * triangle + side) for side in range(3)]
-    # 2. Viewpoints inside of a wall look through the two other sides of the wall's triangle.
-    view, half_edge = views.owner, triangulation.of_wall[views.edge]
-    at_vertex = views.at_vertex(triangulation.boundary)
-    pairs += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
-    # 3. Viewpoints at vertices look through the opposite sides of all triangles of their sectors. Turn around the
-    #    vertex, triangle by triangle, from the wall that opens the sector to the wall that closes it:
-    #
-    #            .                      The triangle on the left of half-edge h, which starts at vertex v, has the
-    #     next  / \  opposite side       opposite side next_half_edge(h). The next half-edge from v, counterclockwise,
-    #          v---.                     is the twin of previous_half_edge(h); there is none if that is a wall.
-    #            h
-    view, half_edge = view[at_vertex], half_edge[at_vertex]
-    while len(view):
-        pairs.append((view, next_half_edge(half_edge)))
-        half_edge = triangulation.twin[previous_half_edge(half_edge)]
-        view, half_edge = view[half_edge >= 0], half_edge[half_edge >= 0]
-    # 4. Bound each cone by the ends of its side: half-edges go counterclockwise around the viewpoint.
-    view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*pairs, strict=True))
-    right, left = triangulation.origin[half_edge], triangulation.origin[next_half_edge(half_edge)]
-    vertices, points = triangulation.boundary.vertices, views.points[view]
-    return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
+def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
+    """Return the pairs of a viewpoint and a triangle of which the viewpoint sees a part, as indices.
+
+    Viewpoint ``i`` looks only into the directions counterclockwise from the unit vector ``right[i]`` to ``left[i]``,
+    at most half a turn. Zero vectors stand for all directions. Pairs may repeat.
+    """
+    # 1. Widen these ranges by the angle of the tolerance at the farthest distance, to allow for rounded directions,
+    #    except those that are half a turn wide up to rounding.
+    far = np.ptp(triangulation.boundary.vertices, axis=0).max()
+    wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
+    right = far * right - wider[:, None] * turned_left(right)
+    left = far * left + wider[:, None] * turned_left(left)
+    # 2. Intersect each cone of sight with the range of its viewpoint. They meet if the right bound of one lies in the
+    #    other, and the left bound of one, too. The intersection has a bound of the range if that lies in the cone.
+    cones = _first_cones(triangulation, views)
+    right, left = right[cones.view].T, left[cones.view].T
+    is_whole = ~right.any(axis=0)
+    cuts_right, cuts_left = (_inside(bound, cones.right, cones.left) for bound in (right, left))
+    meets = cuts_right | _inside(cones.right, right, left)
+    meets &= cuts_left | _inside(cones.left, right, left)
+    right = np.where(cuts_right & ~is_whole, right, cones.right)
+    left = np.where(cuts_left & ~is_whole, left, cones.left)
+    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(np.flatnonzero(is_whole | meets))
+    # 3. Collect the triangles that these cones visit.
+    visited = [np.stack([first.view, first.half_edge // 3])]
+    visited += [new for _, _, new in _expand(triangulation, views, first)]
+    return np.concatenate(visited, axis=1)
+
+
+def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
+    return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
 @dataclass(frozen=True, eq=False)
 class VisibilityTable:
-    """The visibility polygons of viewpoints, as intervals of directions in which one boundary edge is nearest."""
+    """The visibility polygons of viewpoints, as intervals of directions in which one boundary edge is nearest.
+
+    The intervals of viewpoint ``v``, counterclockwise from the *cut*, a direction in which it sees no vertex::
+
+        interval    first[v]    first[v] + 1            ...             first[v + 1] - 1
+        starts at   the cut     direction of a vertex   ...             direction of a vertex
+        key         4 v         4 v + pseudo-angle from the cut, ascending, below 4 (v + 1)
+    """
 
     boundary: Boundary
     tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
     points: Vectors
     cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
-    first: Int[np.ndarray, " views+1"]  # viewpoint v has the intervals from first[v] to first[v + 1] - 1
-    key: Float[np.ndarray, " intervals"]  # 4 v plus the pseudo-angle at which an interval starts, ascending
+    first: Int[np.ndarray, " views+1"]
+    key: Float[np.ndarray, " intervals"]
     edge: Int[np.ndarray, " intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
     vertex: Int[np.ndarray, " intervals"]  # in the direction at which an interval starts; -1 at the cut
 
     @property
     def blur(self) -> float:
-        """Upper bound of the rounding errors in ``key``, the numbers that stand for directions."""
-        return _BLUR + np.spacing(8.0 * len(self.points))
+        """Upper bound of the rounding errors in ``key``."""
+        return _key_error(len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         """Return, for each ``i``, whether viewpoint ``v[i]`` sees the point ``x[i]``.
@@ -240,9 +253,7 @@ class VisibilityTable:
         # 1. Find the interval of each direction by its key.
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
-        dx, dy = (x - self.points[v]).T
-        cx, cy = self.cut[v].T
-        key = 4.0 * v + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
+        key = _keys(v, self.cut, (x - self.points[v]).T)
         row = np.minimum(np.searchsorted(self.key, key, side="right"), self.first[v + 1]) - 1
         seen = self._in_front(row, x)
         # 2. Where the key is within rounding of an interval's start, find the interval exactly: the last one that
@@ -275,19 +286,29 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each point ``x[i]`` is on the free side of the line through its interval's nearest edge.
+        """Return whether each point ``x[i]`` is in front of the edge of interval ``row[i]``; False if it has no edge.
 
-        The interval has the index ``row[i]``. The result is False if the interval has no edge. Near a line the test
-        is exact.
+        In front is the free side of the line through the edge. Near the line the test is exact.
         """
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
-        near = np.flatnonzero(np.abs(height) <= self.tolerance)
-        if len(near):
+        if len(near := np.flatnonzero(np.abs(height) <= self.tolerance)):
             start, end = self.boundary.segments[edge[near]].transpose(1, 2, 0)
             height[near] = orientation(*(end - start), *(x[near].T - start))
         return (height >= 0) & (edge >= 0)
+
+
+def _keys(view: Indices, cut: Vectors, directions: Rays) -> Numbers:
+    """Return 4 times the viewpoint's index, plus the pseudo-angle of each direction from the viewpoint's cut."""
+    # The direction d has the coordinates (c . d, c x d) along and across the cut c.
+    (cx, cy), (dx, dy) = cut[view].T, directions
+    return 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
+
+
+def _key_error(num_views: int) -> float:
+    """Return an upper bound of the rounding errors of keys."""
+    return _BLUR + np.spacing(8.0 * num_views)
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
@@ -315,6 +336,7 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
 
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
+    """Return the table of viewpoints, which are few enough for one pass, and pairs (viewpoint, visible vertex)."""
     # 1. Collect the cones that end at walls and the visible vertices, among them corners of triangles at viewpoints.
     boundary, index = triangulation.boundary, np.arange(len(views.points))
     cones = _first_cones(triangulation, views)
@@ -325,20 +347,48 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
         seen.append(new_seen)
     bounds = [np.concatenate([getattr(part, name) for part in ended], axis=1) for name in ("right", "left")]
     cones = _Cones(*concatenated(ended, "view", "half_edge", "vertex"), *bounds)
-    # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its
-    #    first sector, or the middle of its widest cone if it has no sector or the gap is narrow.
-    #    If the first sector is the only one, the gap ends where this sector opens. By rounding, a tiny gap may become
-    #    almost 2 pi; then the exact test finds that its end is on the left of its start.
+    # 2. Sort the starts of intervals by key. An interval starts at the right bound of each cone, where its wall is
+    #    the nearest edge, and at the closing wall of each sector, where no edge is.
+    cut = _choose_cuts(boundary, views, cones)
+    view = np.concatenate([cones.view, views.owner])
+    directions = np.concatenate([cones.right, views.closes(boundary).T], axis=1)
+    edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
+    vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
+    key = _keys(view, cut, directions)
+    order = _exact_order(view, key, directions, len(index))
+    view, key, edge, vertex = view[order], np.sort(key), edge[order], vertex[order]
+    # 3. Start an interval at the cut, where a viewpoint sees the same edge as at the end of the turn.
+    first, last = np.searchsorted(view, index), np.searchsorted(view, index, side="right") - 1
+    added = (view, index), (key, 4.0 * index), (edge, edge[last]), (vertex, np.full(len(index), -1))
+    view, key, edge, vertex = (np.insert(a, first, b) for a, b in added)
+    # 4. Unite neighboring intervals with one edge.
+    is_start = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
+    first = np.searchsorted(view[is_start], np.arange(len(index) + 1))
+    rows = first, key[is_start], edge[is_start], vertex[is_start]
+    return VisibilityTable(boundary, triangulation.tolerance, views.points, cut, *rows), np.concatenate(seen, axis=1)
+
+
+def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
+    """Choose a cut for each viewpoint, a direction in which it sees no vertex, from the cones that end at walls."""
+    # 1. The middle of the gap after the first sector. If that is the only sector, the gap ends where it opens.
+    #
+    #       second sector \  gap  / first sector
+    #                      \  |  /
+    #                       \ | /    |: cut
+    #                        \|/
+    #                     viewpoint
+    #
     opening, closing = views.opens(boundary), views.closes(boundary)
     opening_angle, closing_angle = (np.arctan2(u[:, 1], u[:, 0]) for u in (opening, closing))
     order = np.lexsort((opening_angle, views.owner))
     owner, first = np.unique(views.owner[order], return_index=True)
-    second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
+    second = first + (np.diff(first, append=len(order)) > 1)
     first, second = order[first], order[second]
-    gap = np.zeros(len(index))
+    gap, angle = np.zeros(len(views.points)), np.empty(len(views.points))
     gap[owner] = (opening_angle[second] - closing_angle[first]) % (2 * np.pi)
-    angle = np.empty(len(index))
     angle[owner] = closing_angle[first] + gap[owner] / 2
+    # 2. The middle of the widest cone, if the viewpoint has no sector or the gap is narrow. By rounding, a tiny gap
+    #    may become almost 2 pi; then the exact test finds that its end is on the left of its start.
     is_narrow = gap < _NARROW
     is_narrow[owner] |= (gap[owner] > 2 * np.pi - _NARROW) & (orientation(*closing[first].T, *opening[second].T) > 0)
     for view in np.flatnonzero(is_narrow):
@@ -347,19 +397,16 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
         width = np.arctan2(np.abs(orientation(rx, ry, lx, ly)), rx * lx + ry * ly)
         widest = width.argmax()
         angle[view] = np.arctan2(ry[widest], rx[widest]) + width[widest] / 2
-    cut = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # 3. Sort the starts of intervals by key. An interval starts at the right bound of each cone, where its wall is
-    #    the nearest edge, and at the closing wall of each sector, where no edge is.
-    view = np.concatenate([cones.view, views.owner])
-    dx, dy = np.concatenate([cones.right, closing.T], axis=1)
-    cx, cy = cut[view].T
-    key = 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
-    edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
-    vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _exact_order(view: Indices, key: Numbers, directions: Rays, num_views: int) -> Indices:
+    """Return the order of directions by key, and by an exact test if their keys are equal up to rounding."""
+    # Swap neighbors in the wrong order: row k of `order` and row k + 1, for each k in `near`. Swaps of one round must
+    # not overlap. Test the neighbors of swapped rows again.
+    dx, dy = directions
     order = np.argsort(key)
-    # 4. Sort directions that are equal up to rounding exactly, by swaps of neighbors in the wrong order: row k of
-    #    `order` and row k + 1, for each k in `near`. Swaps of one round must not overlap. Test neighbors again.
-    is_close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(index))
+    is_close = np.diff(key[order], append=np.inf) <= _key_error(num_views)
     near = np.flatnonzero(is_close)
     while len(near):
         a, b = order[near], order[near + 1]
@@ -368,13 +415,4 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
         order[near], order[near + 1] = order[near + 1], order[near]
         near = np.unique(np.concatenate([near - 1, near, near + 1]))
         near = near[is_close[near] & (near >= 0)]
-    view, key, edge, vertex = view[order], np.sort(key), edge[order], vertex[order]
-    # 5. Start an interval at the cut, where a viewpoint sees the same edge as at the end of the turn.
-    first, last = np.searchsorted(view, index), np.searchsorted(view, index, side="right") - 1
-    added = (view, index), (key, 4.0 * index), (edge, edge[last]), (vertex, np.full(len(index), -1))
-    view, key, edge, vertex = (np.insert(a, first, b) for a, b in added)
-    # 6. Unite neighboring intervals with one edge.
-    is_start = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
-    first = np.searchsorted(view[is_start], np.arange(len(index) + 1))
-    rows = first, key[is_start], edge[is_start], vertex[is_start]
-    return VisibilityTable(boundary, triangulation.tolerance, views.points, cut, *rows), np.concatenate(seen, axis=1)
+    return order

@@ -1,9 +1,20 @@
-"""Distances between all obstacle corners of a grid, by vertex elimination on the graph of visible corners.
+"""Obstacle corners of a grid: from which cells paths bend at them, and the distances between them.
 
-Corners are eliminated one by one. When corner v is eliminated, an edge joins each pair of its neighbors a and b: as
-long as the path a-v-b, unless a shorter edge joins a and b. Distances are then computed in the reverse order: each
-distance from v is a minimum over the neighbors that v had when it was eliminated. ``GRIDS.md`` has the proofs and
-references.
+::
+
+    . . . . y    A *corner* (c) is a free cell diagonal to a blocked cell (#), with both cells in between free. Cells
+    . c . . .    *see* each other if obstacles block none of the paths between them that are shortest on an empty
+    . . # . .    grid. If x and y do not, a shortest path bends first at a corner i and last at a corner j. Then its
+    x . # . .    length is open_length(x, i) + D(i, j) + open_length(j, y), with D the distance between corners.
+
+1. :func:`taut_corners` lists for each cell the corners at which a path from there may bend first.
+2. :func:`corners_in_sight` finds the edges of a graph of corners.
+3. :func:`corner_distances` computes D by vertex elimination on this graph: eliminate corners one by one, and join the
+   neighbors of each by edges as long as the path through it, unless shorter edges join them. In reverse order, each
+   distance is then a minimum over the corner's neighbors at its elimination.
+
+Step 3 stores D as a :class:`CornerTable` or, for many corners, as :class:`CornerLabels`. ``GRIDS.md`` has the proofs
+and references. ``grid_query.py`` has the query.
 """
 
 import heapq
@@ -24,6 +35,26 @@ from plr_jax._compiled import pytree
 # Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
 DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
+FAR = 2**30  # length in units that stands for no path: no sum of existing distances reaches it
+_NO_PATH = FAR + 2**20  # FAR or more even after adding differences to it
+# Limits of the tables:
+MOST_IN_TABLE = 2**14  # most corners with a full table: 134 MB at 8 bits, four times as much during construction
+_MOST_BYTES = 2**30  # size of the largest table
+_ANCESTOR_BYTES = 8  # of an ancestor and the distance to it
+_MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
+# Of a `CornerTable`, by connectivity. A difference is at most twice as many steps, in units, and fits into its type.
+_MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}
+_DIFFERENCE_TYPES = {4: np.dtype(np.int8), 8: np.dtype(np.int16)}
+_AT_ONCE = 2**22  # cells listed in one step, which bounds the memory
+_TOO_LARGE = (
+    "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work: cut the map, or "
+    "use a GridGraph, which searches."
+)
+_TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
+_DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # steps along rows and columns
+Grid = Bool[np.ndarray, "rows columns"]
+_Cells = Int[np.ndarray, "pairs"]
+_Edges = list[dict[int, int]]  # for each corner, lengths of edges by their other end
 
 
 def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
@@ -36,26 +67,24 @@ def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
 
 
-FAR = 2**30  # length in units that stands for no path: no sum of existing distances reaches it
-MOST_IN_TABLE = 2**14  # most corners with a full table: 134 MB at 8 bits, four times as much during construction
-_MOST_BYTES = 2**30  # size of the largest table
-_TOO_LARGE = (
-    "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work: cut the map, or "
-    "use a GridGraph, which searches."
-)
-_TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
-_DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # steps along rows and columns
-# Blocked diagonals around which paths from cells straight ahead, straight aside, and both ahead and aside can bend:
-# those that are ahead, those that are aside, and those that are one of both. Rows lead aside, columns ahead.
-_TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
-_AT_ONCE = 2**22  # cells listed in one step
-Grid = Bool[np.ndarray, "rows columns"]
-_Cells = Int[np.ndarray, "pairs"]
-
-
 def corner_cells(free: Grid) -> Grid:
     """Return the mask of obstacle corners: free cells diagonal to a blocked cell, with both cells in between free."""
     return np.logical_or.reduce(_blocked_diagonals(free))
+
+
+def _blocked_diagonals(free: Grid) -> Shaped[np.ndarray, "4 rows columns"]:
+    # For each diagonal direction (k, m), mark the cells (c) at which a path can bend around a blocked neighbor there:
+    #
+    #      c .       k rows and m columns lead from c to the blocked cell.
+    #      . #
+    #
+    rows, columns = free.shape
+    around = np.pad(free, 1)
+
+    def beside(k: int, m: int) -> Grid:
+        return around[1 + k : 1 + k + rows, 1 + m : 1 + m + columns]
+
+    return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
 
 
 def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
@@ -66,14 +95,16 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
     places = np.flatnonzero(corner_cells(free))
     corner_at = np.full(free.size, -1, np.int32)  # by cell, -1 for none
     corner_at[places] = np.arange(len(places))
+    # 1. Scan the sectors of all corners, in rows that end at the first other corner: the two see each other.
     keys = [np.zeros(0, np.int64)]  # corners i < j have the key i * len(places) + j
     for sector in _sectors(free, connectivity):
         is_corner = np.logical_or.reduce(list(sector.blocked.values()))
         for corner, width, row in _scan(sector, is_corner, is_corner):
-            last = corner_at[sector.cells(corner, row, width - 1)]  # no run of cells continues past a corner
+            last = corner_at[sector.cells(corner, row, width - 1)]
             is_pair = (last >= 0) & (last != corner)
             ends = corner[is_pair], last[is_pair]
             keys.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
+    # 2. Keep each pair once: both corners find it.
     return np.divmod(np.unique(np.concatenate(keys)), max(len(places), 1))
 
 
@@ -92,7 +123,7 @@ def taut_corners(
     #    straight aside (S), or both ahead and aside (B). In an octant, each row begins with a cell of kind B.
     #
     #       2 | S B B      Cells A are taut if a blocked diagonal is ahead, cells S if one is aside, and cells B if
-    #       1 | S B B      one is ahead or aside but not both (`_TAUT`).
+    #       1 | S B B      one is ahead or aside but not both.
     #       0 | c A A
     #
     #    Cells past another corner, at which they are taut, are listed for that corner only. Such cells are further
@@ -101,15 +132,15 @@ def taut_corners(
     runs = [np.zeros((4, 0), np.int64)]  # corner, first cell, step, number of cells
     for sector in _sectors(free, connectivity):
         blocked = sector.blocked
-        ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
-        has_blocked = {diagonal: cells[sector.row, sector.column] for diagonal, cells in blocked.items()}
-        is_taut_ahead, is_taut_aside, is_taut_both = (has_blocked[one] | has_blocked[other] for one, other in _TAUT)
-        is_first_taut = is_taut_both if sector.is_slanted else is_taut_aside
+        ahead = blocked[1, 1] | blocked[-1, 1]
+        aside = blocked[1, 1] | blocked[1, -1]
+        either = blocked[1, -1] | blocked[-1, 1]
+        taut_ahead, taut_aside, taut_both = (mask[sector.row, sector.column] for mask in (ahead, aside, either))
+        taut_first = taut_both if sector.is_slanted else taut_aside
         for corner, width, row in _scan(sector, ahead, ahead | aside if sector.is_slanted else aside):
-            if row:
-                has_first, has_others = is_first_taut[corner] & sector.keeps_aside, is_taut_both[corner]
-            else:  # the first cell is the corner itself
-                has_first, has_others = np.zeros(len(corner), bool), is_taut_ahead[corner] & sector.keeps_ahead
+            # The first cell of row 0 is the corner itself. Adjacent sectors share the cells straight ahead and aside.
+            has_first = taut_first[corner] & sector.keeps_aside & (row > 0)
+            has_others = taut_both[corner] if row else taut_ahead[corner] & sector.keeps_ahead
             begin = np.where(has_first, 0, 1)
             length = np.where(has_others, width, 1) - begin
             is_run = length > 0
@@ -195,8 +226,9 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
     ``ends_row`` and ``ends_later`` are masks of cells. A row ends with its first cell in ``ends_row``. Later rows are
     at most as long, and end before the column (in an octant: the diagonal) of each cell in ``ends_later``.
     """
-    # A corner sees a cell of the next row if it sees the cell before it, straight or diagonally, and all cells up to
-    # there allow this step.
+    #    2 | v v . .      A corner c sees a cell of the next row if it sees the cell before, straight or diagonally,
+    #    1 | v v # .      and all cells up to there allow this step. Here it sees the cells v and *. Row 0 ends with
+    #    0 | c v v * .    a cell in `ends_row` (*), row 1 before a blocked cell (#), and row 2 is as short as row 1.
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
     if sector.is_slanted:
@@ -206,11 +238,11 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
     corner, aside = np.arange(len(row)), 0
     width = _steps_to(~sector.free)[row, column]
     while len(corner):
-        # A row has the cells up to its first one in `ends_row`, `end + 1` cells if it is long enough. The next row
-        # has at most as many, and only those before the first cell in `ends_later` and before the first illegal step.
+        # 1. This row has the cells up to its first one in `ends_row`: `end + 1` cells if it is long enough.
         offset = int(aside == 0)  # the corner itself ends nothing
         end, later = (steps[row, column + offset] + offset for steps in (to_end, to_later))
         yield corner, np.minimum(width, end + 1), aside
+        # 2. The next row has at most as many: those before the first cell in `ends_later` and the first illegal step.
         width = np.minimum.reduce([width, end + 1, later, to_illegal[row, column]])
         aside += 1
         is_seeing = width > 0
@@ -229,23 +261,6 @@ def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
     return np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1] - np.arange(columns + 1, dtype=np.int32)
 
 
-def _blocked_diagonals(free: Grid) -> Shaped[np.ndarray, "4 rows columns"]:
-    # For each diagonal direction, mark free cells where a path can bend around the blocked neighbor there.
-    rows, columns = free.shape
-    around = np.pad(free, 1)
-
-    def beside(k: int, m: int) -> Grid:
-        return around[1 + k : 1 + k + rows, 1 + m : 1 + m + columns]
-
-    return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
-
-
-_NO_PATH = FAR + 2**20  # FAR or more even after adding differences to it
-_MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}  # twice as many steps, in units, fit into 8 or 16 bits
-_MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take minutes
-_ANCESTOR_BYTES = 8  # of an ancestor and the distance to it
-
-
 def looked_up(table: Any, index: Any) -> Any:
     """Return ``table[index]``, a NumPy array if ``index`` is one, else a JAX array; indices must be in range."""
     if isinstance(index, np.ndarray):
@@ -255,10 +270,13 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
-    """Path lengths between all obstacle corners of a grid, stored as small differences.
+    """Distances between all obstacle corners: those between centers near them, plus small differences.
 
-    A few corners are *centers*, and each corner has a center near it. The length between two corners is stored as its
-    difference from the length between their centers.
+    ::
+
+        a ----------- b        D(a, b) = D(center of a, center of b) + difference(a, b)
+         :             :
+          center of a   center of b
     """
 
     center: Integer[Array, " corners"]  # index of a center near each corner
@@ -296,7 +314,11 @@ class CornerLabels:
 
         The shapes of ``a`` and ``b`` must broadcast.
         """
-        # Lists of ancestors begin at the root. So both lists begin alike, and agree nowhere after they first differ.
+        # Lists of ancestors begin at the root: the common ones come first, up to the last common ancestor.
+        #
+        #     ancestors of a: root, child, grandchild, ..., a
+        #     ancestors of b: root, child, other, ..., b
+        #
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         shorter = xp.minimum(*(looked_up(self.first, end + 1) - looked_up(self.first, end) for end in (a, b)))
@@ -322,9 +344,6 @@ class CornerLabels:
         return lax.while_loop(lambda state: is_common(state[0]).any(), after_place, state)[1]
 
 
-_Edges = list[dict[int, int]]  # for each corner, lengths of edges by their other end
-
-
 def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
     """Return the path lengths between all obstacle corners of a grid, as a table or, for many corners, as labels.
 
@@ -334,16 +353,10 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     if most < 0:
         raise ValueError(_TOO_LONG)
     # 1. Build the graph of corners that see each other.
-    places = np.flatnonzero(corner_cells(free))
-    ends = corners_in_sight(free, connectivity)
-    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
-    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
-    edges: _Edges = [{} for _ in places]
-    for a, b, length in zip(*(column.tolist() for column in (*ends, lengths)), strict=True):
-        edges[a][b] = edges[b][a] = length
-    size, kind = len(edges) * (len(edges) + 1) // 2, np.dtype(np.int8 if connectivity == 4 else np.int16)
+    edges = _graph_of_corners(free, connectivity)
     has_table = len(edges) <= MOST_IN_TABLE
-    if has_table and size * kind.itemsize > _MOST_BYTES:
+    num_pairs = len(edges) * (len(edges) + 1) // 2
+    if has_table and num_pairs * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     # 2. Eliminate corners, and compute distances in reverse order: to ancestors if there are many corners, else all.
     with tqdm(
@@ -363,8 +376,24 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
         component[corner] = component[next(iter(uppers[corner]), corner)]
     if np.count_nonzero(distances < most) != (np.bincount(component, minlength=1) ** 2).sum():
         raise ValueError(_TOO_LONG)
-    # 4. Choose centers so that each corner is near one. Distances differ from distances between the centers of both
-    #    corners by at most twice the radius, so that the differences need few bits.
+    return _compressed(distances, connectivity)
+
+
+def _graph_of_corners(free: Grid, connectivity: int) -> _Edges:
+    """Return edges between corners that see each other, as long as on an empty grid."""
+    places = np.flatnonzero(corner_cells(free))
+    ends = corners_in_sight(free, connectivity)
+    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
+    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
+    edges: _Edges = [{} for _ in places]
+    for a, b, length in zip(*(column.tolist() for column in (*ends, lengths)), strict=True):
+        edges[a][b] = edges[b][a] = length
+    return edges
+
+
+def _compressed(distances: Int32[np.ndarray, "corners corners"], connectivity: int) -> CornerTable:
+    # Choose centers so that each corner is near one. Distances differ from distances between the centers of both
+    # corners by at most twice the radius, so that the differences need few bits.
     radius = _MOST_STEPS_FROM_CENTER[connectivity] * STRAIGHT[connectivity]
     center, centers = np.full(len(distances), -1), []
     for corner, lengths in enumerate(distances):
@@ -372,11 +401,10 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
             center[(center < 0) & (lengths <= radius)] = len(centers)
             centers.append(corner)
     between = distances[np.ix_(centers, centers)]
-    differences = np.empty(size, kind)
-    for corner, lengths in enumerate(distances):
-        begin = corner * (corner + 1) // 2
-        expected = between[center[corner], center[: corner + 1]]
-        differences[begin : begin + corner + 1] = lengths[: corner + 1] - expected
+    # List the differences row by row: row a has those to the corners b <= a.
+    kind = _DIFFERENCE_TYPES[connectivity]
+    rows = (lengths[: a + 1] - between[center[a], center[: a + 1]] for a, lengths in enumerate(distances))
+    differences = np.concatenate([np.zeros(0, kind), *(row.astype(kind) for row in rows)])
     return CornerTable(*map(jnp.asarray, (center.astype(np.min_scalar_type(len(centers))), between, differences)))
 
 
@@ -386,10 +414,11 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
     ``edges[i]`` maps each neighbor of corner ``i`` to the length of the edge. It is modified in place, and becomes
     the second result: the edges that corner ``i`` has when it is eliminated.
     """
-    # Eliminate corners with few neighbors first, because all their neighbors are joined to one another, and corners
-    # of low level, because the tree of ancestors should be shallow. The level is the length of the longest chain of
-    # corners eliminated before, each of which was a neighbor of the next. A corner is pushed again when either
-    # changes; older entries of the heap are skipped.
+    # 1. Choose the corner with the least sum of the number of its neighbors and its level: elimination joins all
+    #    neighbors to one another, and the tree of ancestors should be shallow. The level is the length of the longest
+    #    chain of corners eliminated before, each of which was a neighbor of the next. A corner is pushed again when
+    #    either changes; older entries of the heap are skipped.
+    is_labeled = len(edges) > MOST_IN_TABLE  # neighbors are ancestors then
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
     heapq.heapify(heap)
@@ -402,11 +431,13 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
         is_left[corner] = False
         order.append(corner)
         num_edges, work = num_edges + len(nearby), work + len(nearby) ** 2
-        is_labeled = len(edges) > MOST_IN_TABLE  # neighbors are ancestors then
         if work > _MOST_WORK or (is_labeled and _ANCESTOR_BYTES * num_edges > _MOST_BYTES):
             raise ValueError(_TOO_LARGE)
         progress.update()
-        # Join the neighbors a and b of the corner v: w(a, b) becomes at most w(a, v) + w(v, b). Remove v.
+        # 2. Remove the corner v, and join its neighbors a and b: w(a, b) becomes at most w(a, v) + w(v, b).
+        #
+        #      a --- v --- b    becomes    a --- b
+        #
         for a, to_a in nearby.items():
             of_a = edges[a]
             del of_a[corner]
@@ -461,9 +492,10 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
 
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
-    # In the reverse order of elimination, a corner's neighbors come before it: all paths from it to earlier corners
-    # lead over one of them. So D(v, t) = min over neighbors u of w(v, u) + D(u, t). Rows are in this order until the
-    # end, so that `distances[:n, :n]` is known before row n.
+    # In the reverse order of elimination, a corner v comes after its neighbors u, and all paths from it to earlier
+    # corners t lead over one of them:
+    #   D(v, t) = min over neighbors u of w(v, u) + D(u, t).
+    # Rows are in this order until the end, so that `distances[:n, :n]` is known before row n.
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)

@@ -1,4 +1,15 @@
-"""PairPLR: distances between any two points of a planar workspace, stored in one file."""
+"""PairPLR: distances between any two points of a planar workspace, stored in one file.
+
+:func:`construct_pairs` builds the file (``construct.py``), and ``stored.py`` reads it. A call of a :class:`PairPLR`
+makes points relative to the middle of the domain, which loses fewer bits of them, then answers in one of three ways::
+
+    few pairs               NumPy, without compiling                               NumpyPairs (portable.py)
+    many pairs              compiled code, block by block on all cores             _distances
+    traced points or file   the same code as a part of the caller's computation    _distances
+
+:func:`_distances` handles points outside the domain, finds shortest paths by ``query.py``, and makes their lengths
+differentiable. Goals with known distances to all corners (*prepared* goals) and bounds are answered likewise.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -29,9 +40,9 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 
-_BLOCKS = (2**10, 2**14)  # sizes of the blocks, of few and of many pairs, that compiled functions answer
-_FEW_TESTS = 2**18  # pairs times walls up to which NumPy answers: at most about as slowly as a compiled block
-_PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
+_BLOCKS = (2**10, 2**14)  # pairs in a block of compiled code: in small and in large batches
+_FEW_TESTS = 2**18  # most pairs times walls that NumPy answers: at most about as slowly as a compiled block
+_PAIRS_A_GOAL = 8  # pairs that NumPy answers in about the time in which it prepares a goal
 
 
 @serializable
@@ -72,35 +83,21 @@ class PairPLR(FileBacked):
                 to the nearest point of the domain, and adds the length of this move to the distance.
         """
         outside = as_outside(outside)
-        if isinstance(y, PreparedGoals):
-            return self._to_goals(x, y, outside)
-        few = partial(NumpyPairs.distances, outside=outside)
-        return self._answered(partial(_distances, outside=outside), few, x, y)[0]
-
-    def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
-        """Return distances from points to prepared goals, computed by NumPy for few pairs, else by compiled code."""
-        # 1. Check the arguments.
         x = self._from_middle("x", x)
-        batch = broadcast_shape("x and goals", x, goals.points)[:-1]
-        size, corners = goals.to_corners.shape[-1], self._table_size
+        if not isinstance(y, PreparedGoals):
+            y = self._from_middle("y", y)
+            batch = broadcast_shape("x and y", x, y)[:-1]
+            in_numpy = partial(NumpyPairs.distances, outside=outside)
+            return self._answer(batch, partial(_distances, outside=outside), in_numpy, x, y)[0]
+        batch = broadcast_shape("x and goals", x, y.points)[:-1]
+        size, corners = y.to_corners.shape[-1], self._table_size
         if size != corners:
             raise ValueError(
                 f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size} corners: "
                 "call prepared of these pairs."
             )
-        # 2. Choose how to answer. Compiled code reads goals by number, so that parts of a batch can share them.
-        number = np.arange(prod(goals.points.shape[:-1]), dtype=np.uint32).reshape(*goals.points.shape[:-1], 1)
-        if not is_on_one_host(x, goals.points, goals.to_corners, self.file):
-            return _distances_to(self.tables, goals, x, number, outside)[0]
-        with np.errstate(over="ignore"):  # points far outside
-            x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
-        if self._are_few(prod(batch)):
-            rows = (_rows(np.asarray(column), batch) for column in (x, goals.points, goals.to_corners))
-            answer = self._numpy.distances_to(*rows, outside=outside).reshape(batch)
-        else:
-            answer = partial(_distances_to, self.tables, goals, outside=outside)
-            answer = answered_in_parts(answer, _BLOCKS, x, number)[0]
-        return jax.device_put(answer)
+        in_numpy = partial(NumpyPairs.distances_to, outside=outside)
+        return self._answer(batch, partial(_distances_to, goals=y, outside=outside), in_numpy, x, goals=y)[0]
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
@@ -111,12 +108,14 @@ class PairPLR(FileBacked):
         to a goal outside the domain. Use the result only with the same PairPLR. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
+        # 1. Few goals: NumPy compiles nothing.
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
             with np.errstate(over="ignore"):  # goals far outside
                 points = goals.astype(np.float32)
             to_corners = self._numpy.to_corners(points.reshape(-1, 2), self._table_size)
             to_corners = jnp.asarray(to_corners.reshape(*goals.shape[:-1], self._table_size))
             return PreparedGoals(jnp.asarray(points), to_corners)
+        # 2. Many or traced goals: compiled code.
         points = jnp.asarray(goals, jnp.float32)
         (inside,), shape, _ = _checked(self.tables, points)
         to_corners = distances_to_corners(self.tables, jax.lax.stop_gradient(inside))
@@ -130,7 +129,9 @@ class PairPLR(FileBacked):
         workspace's tolerance. Lower bounds are at least 0. Upper bounds are lengths of certainly free paths; ``inf``
         if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
         """
-        lower, upper = self._answered(_bounds, NumpyPairs.bounds_between, x, y)
+        x, y = self._from_middle("x", x), self._from_middle("y", y)
+        batch = broadcast_shape("x and y", x, y)[:-1]
+        lower, upper = self._answer(batch, _bounds, NumpyPairs.bounds_between, x, y)
         return lower, upper
 
     def to(self, goal: ArrayLike) -> PLR:
@@ -162,25 +163,35 @@ class PairPLR(FileBacked):
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
-    def _answered(
-        self, compiled: Callable[..., Any], few: Callable[..., Any], x: ArrayLike, y: ArrayLike
+    def _answer(
+        self,
+        batch: tuple[int, ...],
+        compiled: Callable[..., tuple[Array, ...]],
+        in_numpy: Callable[..., np.ndarray],
+        *points: Array | np.ndarray,
+        goals: PreparedGoals | None = None,
     ) -> tuple[Array, ...]:
-        """Return the answers ``(...)`` to pairs of points, for few pairs from ``few``, else from ``compiled``.
-
-        ``few`` is a method of :class:`NumpyPairs`, which compiles nothing, and ``compiled`` a jitted function.
-        """
-        x, y = self._from_middle("x", x), self._from_middle("y", y)
-        batch = broadcast_shape("x and y", x, y)[:-1]
-        if not is_on_one_host(x, y, self.file):
-            return compiled(self.tables, x, y)
+        """Return answers for a batch of pairs: ``in_numpy`` for few pairs, else by the ``compiled`` function."""
+        # 1. NumPy takes the columns of prepared goals. The compiled function has them, and takes the index of each
+        #    goal: so the parts of a batch share the goals.
+        columns, index = (), ()
+        if goals is not None:
+            columns, shape = (goals.points, goals.to_corners), goals.points.shape[:-1]
+            index = (np.arange(prod(shape), dtype=np.uint32).reshape(*shape, 1),)
+        # 2. Inside a traced function, or with arrays on a device, the computation stays there.
+        if not is_on_one_host(*points, *columns, self.file):
+            return compiled(self.tables, *points, *index)
+        # 3. Else answer few pairs in NumPy, which takes a row per pair, and many pairs on all cores.
+        dtype = jax.dtypes.canonicalize_dtype(_floats_of(*points))
         with np.errstate(over="ignore"):  # points far outside
-            x, y = (np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y))
+            points = tuple(np.asarray(p, dtype) for p in points)
         if self._are_few(prod(batch)):
-            answers = np.atleast_2d(few(self._numpy, _rows(x, batch), _rows(y, batch)))
-            answers = (answer.reshape(batch) for answer in answers)
+            rows = (_rows(np.asarray(column), batch) for column in (*points, *columns))
+            answers = np.atleast_2d(in_numpy(self._numpy, *rows))
         else:
-            answers = answered_in_parts(partial(compiled, self.tables), _BLOCKS, x, y)
-        return tuple(map(jax.device_put, answers))  # unlike `jnp.asarray`, compiles nothing
+            answers = answered_in_parts(partial(compiled, self.tables), _BLOCKS, *points, *index)
+        # Unlike `jnp.asarray`, `device_put` compiles nothing.
+        return tuple(jax.device_put(answer.reshape(batch)) for answer in answers)
 
     def _are_few(self, pairs: int) -> bool:
         return pairs * len(self.stored.outline.points) <= _FEW_TESTS
@@ -204,7 +215,7 @@ class PairPLR(FileBacked):
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
-        # The middle is `first + rest`, both in 32 bits. Points in 64 bits outside of JAX need no such parts.
+        # Subtract the middle: in 64 bits from such points outside of JAX, else in two parts, `first` and `rest`.
         if is_traced(self.file):
             unresolved, (first, rest) = self.tables.unresolved, self.tables.middle
         else:
@@ -298,46 +309,44 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
     if outside == "clamp":
         (x, shift_x), (y, shift_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
         return (_distances(tables, x, y, "inf")[0] + (shift_x + shift_y),)
-    (x, y), shape, answer = _checked(tables, x, y)
-    if outside == "nan":
-        answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
+    # 1. Find the shortest paths in 32 bits, from rounded points.
+    (x, y), shape, answer = _checked(tables, x, y, outside=outside)
     single = [jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y)]
     ways = shortest_ways(tables, *single)
     length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least).astype(x.dtype)
+    # 2. Add the change of the first and the last leg:
+    #
+    #        x ------ i ~~~~~~ j ------ y      legs(x, y) = |x - i| + |y - j|, or |x - y| if the path is straight
+    #
+    #    `length` is that of the rounded points x' and y', and has no gradient. With the turns i and j held fixed,
+    #        length(x, y) = length(x', y') + legs(x, y) - legs(x', y'),
+    #    whose gradient is that of legs(x, y). As legs(x', y') are computed in 32 bits, too, their rounding cancels.
     is_straight = (ways.from_x == single[1]).all(axis=1) & (ways.from_y == single[0]).all(axis=1)
 
     def legs(x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
         from_x, from_y = (p.astype(x.dtype) for p in (ways.from_x, ways.from_y))
         return jnp.where(is_straight, _norm(x - y), _norm(x - from_x) + _norm(y - from_y))
 
-    # `length` is computed in 32 bits, of rounded points x' and y', and has no gradient. With the turns i and j held
-    # fixed, a path's length changes as its legs do, with legs(x, y) = |x - i| + |y - j|, or |x - y| if straight:
-    #   length(x, y) = length(x', y') + legs(x, y) - legs(x', y').
-    # The gradient is the gradient of legs(x, y). As legs(x', y') have 32 bits, too, their rounding cancels.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
 
 @partial(jax.jit, static_argnames="outside")
 def _distances_to(
-    tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
+    tables: PairTables, x: Array, index: Array, goals: PreparedGoals, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
-    """Return distances from points ``x`` to prepared goals.
-
-    Points are relative to the middle of the domain. ``number`` has the index of a goal for each point, ``(..., 1)``.
-    """
+    """Return distances from points ``(..., 2)`` to the goals of given indices ``(..., 1)``, which broadcast."""
     if outside == "clamp":
         x, shift = _clamped(tables, x.astype(_floats_of(x)))
-        return (_distances_to(tables, goals, x, number, "inf")[0] + shift,)
+        return (_distances_to(tables, x, index, goals, "inf")[0] + shift,)
+    # 1. Find the shortest paths in 32 bits, from rounded points.
     points, to_corners = (column.reshape(-1, column.shape[-1]) for column in (goals.points, goals.to_corners))
-    number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
-    (x, y), shape, answer = _checked(tables, x, points[number])
+    index = jnp.broadcast_to(index[..., 0], jnp.broadcast_shapes(x.shape[:-1], index.shape[:-1]))
+    (x, y), shape, answer = _checked(tables, x, points[index], outside=outside)
     single, end = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
-    ways = shortest_ways(tables, single, end, jax.lax.stop_gradient(to_corners), number.ravel())
-    if outside == "nan":
-        answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
+    ways = shortest_ways(tables, single, end, jax.lax.stop_gradient(to_corners), index.ravel())
     via, length = ways.from_x.astype(x.dtype), ways.length.astype(x.dtype)
-    # Add the change of the leg due to the part of the point that 32 bits lose.
+    # 2. Add the change of the first leg, as in `_distances`. Goals have 32 bits: the rest of the path is known.
     change = _norm(x - via) - _norm(single.astype(x.dtype) - via)
     length += jnp.where(jnp.isfinite(length), change, 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
@@ -349,6 +358,9 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 
     Points are relative to the middle of the domain.
     """
+    # With the relative error r of a query and the absolute error e of points and corners:
+    #   lower = (1 - r) (length among walls that hide too little) - e
+    #   upper = (1 + r) (length among walls that hide too much) + e
     (x, y), shape, answer = _checked(tables, x, y)
     dtype = x.dtype
     x, y = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
@@ -379,17 +391,18 @@ def _clamped(
 
 
 def _checked(
-    tables: PairTables, *points: Array
+    tables: PairTables, *points: Array, outside: Outside = "inf"
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, " n"]]:
-    """Broadcast arrays of points, and return their rows, the shape of the batch, and a first answer for each row.
+    """Broadcast points; return them as rows, the shape of the batch, and what is known of each row's answer.
 
-    The answer is ``inf`` if a point is outside the domain, NaN if it has a NaN, and 0 if the answer is not yet known.
-    Points become 0 in rows whose answer is known.
+    Answers are ``inf`` or NaN ``outside`` the domain, NaN for NaN, and 0 if not yet known. Rows with a known answer
+    become 0.
     """
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))
-    answer = jnp.where((farthest > _ends(tables, farthest)).any(axis=1), jnp.inf, jnp.zeros((), farthest.dtype))
+    is_outside = (farthest > _ends(tables, farthest)).any(axis=1)
+    answer = jnp.where(is_outside, float(outside), jnp.zeros((), farthest.dtype))
     answer = jnp.where(jnp.isnan(farthest).any(axis=1), jnp.nan, answer)
     return [jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in rows], shape, answer
 
