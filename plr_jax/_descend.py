@@ -91,7 +91,8 @@ def descend(
         space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
-            each path ends at the goal to which the shortest path was found.
+            each path ends at the goal to which the shortest path was found. The field counts as 0 at each goal, so
+            its errors, or costs of ending at a goal, do not change which goal that is.
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:

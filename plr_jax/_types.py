@@ -5,7 +5,7 @@ Classes that have the members of a protocol, among others, and functions that as
     DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
     FunctionOfBox         PLR                               plot
     PiecewiseFunction     PLR                               plot
-    CellwiseFn            VisibilityGraph, NearestGoal      construct
+    CellwiseFn            VisibilityGraph, NearestGoal      construct, certify
     FamilyFn              VisibilityGraph                   construct_many
     NearestFn             NearestGoal                       construct
     ReachFn               VisibilityGraph, Roadmap          construct
@@ -15,8 +15,8 @@ Classes that have the members of a protocol, among others, and functions that as
     HeuristicFn           SumOverRobots                     bl_plan
 
 Tests by ``isinstance`` see only whether an object has members of these names. So ``NearestGoal``, which answers for
-cells only if all its functions are VisibilityGraphs of one map, sets ``cell_sources``, ``reach`` and ``goals`` only
-in this case.
+cells only if all its functions are VisibilityGraphs of one map, is always a ``CellwiseFn``; in other cases, its
+``cell_sources`` is None.
 """
 
 from collections.abc import Callable, Sequence
@@ -92,9 +92,13 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 
 @runtime_checkable
 class CellwiseFn(_PointFn, Protocol):
-    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
+    """A distance function in the plane that knows where shortest paths from the points of a box may turn first.
 
-    def cell_sources(self, domain: Any, /) -> CellSources: ...
+    ``cell_sources`` is a method that takes the box, or None if the function does not know.
+    """
+
+    @property
+    def cell_sources(self) -> Callable[[Any], CellSources] | None: ...
 
 
 @runtime_checkable
@@ -123,8 +127,6 @@ class FamilyFn(CellwiseFn, Protocol):
 class NearestFn(CellwiseFn, Protocol):
     """A distance function in the plane to the nearest of several goals, which tells the index of that goal."""
 
-    @property
-    def goals(self) -> Float[np.ndarray, "goals 2"]: ...
     def which(self, x: ArrayLike, /) -> Int[np.ndarray, " n"]: ...
 
 

@@ -75,6 +75,16 @@ def test_paths_end_at_the_nearest_of_several_goals(is_exact):
         np.testing.assert_array_equal(ends, goals[nearest.which(starts)])
 
 
+def test_paths_end_at_the_nearest_goal_whatever_the_field_is_at_goals():
+    goals, starts = np.array([(2.0, 2.0), (8.0, 2.0)]), DOOR.sample_free(40, 0)
+    oracles = [VisibilityGraph(DOOR, goal) for goal in goals]
+    distances = np.stack([oracle(starts) for oracle in oracles])
+    descent = descended(lambda x: np.minimum(oracles[0](x) + 6, oracles[1](x)), DOOR, starts, goals)
+    np.testing.assert_allclose(descent.lengths, distances.min(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(descent.vertices[:, -1], goals[distances.argmin(axis=0)])
+    assert (distances[0] < distances[1])[distances[0] + 6 > distances[1]].any(), "the field prefers the other goal"
+
+
 def test_statuses_of_starts():
     starts = [(5, 5), (2.5, 2.5), (1.5, 1.5), (-1, 5), (np.nan, 5), (8, 8)]
     for space in (POCKET, PlaneSpace(POCKET)):
