@@ -75,16 +75,26 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The goal, and the points where shortest paths to it may turn.
+    """Goals, and the points where shortest paths to the nearest goal may turn.
 
-    The shortest path from any point starts with a straight segment to one of these points, its *source*. If there are
-    several goals, they are the first sources, and all distances are those to the nearest goal.
+    The shortest path from any point starts with a straight segment to one of these points, its *source*. Sources that
+    reach a goal and are their own parents are called *roots*. The constructor checks two conditions:
+
+    - Every root has the distance 0, so it is a goal. No path to a goal is better continued to another goal, and
+      sources at one place have equal distances, so that files may merge them.
+    - If goals are named, they are the first sources and the only roots. Files store names in the order of the roots.
     """
 
     points: Float[np.ndarray, "sources dim"]
-    distances: Float[np.ndarray, " sources"]  # to the goal; inf where it cannot be reached
+    distances: Float[np.ndarray, " sources"]  # to the nearest goal; inf if no goal can be reached
     parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a goal and if unreachable
-    goals: Int[np.ndarray, "goals"] | None = None  # source of each goal, the first of equal ones; None: one goal, 0
+    goals: Int[np.ndarray, "goals"] | None = None  # names: index of each goal, or of an equal one; None: no names
+
+    def __post_init__(self) -> None:
+        roots = np.flatnonzero((self.parents == np.arange(len(self.parents))) & np.isfinite(self.distances))
+        named = roots if self.goals is None else np.arange(len(self.goals))
+        if not np.array_equal(roots, named) or self.distances[roots].any():
+            raise ValueError(f"Sources that are their own parents must be goals, named ones first, got {roots}.")
 
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports

@@ -3,6 +3,7 @@
 import struct
 import tracemalloc
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,10 +113,10 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
         center = np.where(unreachable, np.inf, rng.normal(size=len(cells)))
         stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
     elif leaf == "cone":
-        sources = Sources(rng.normal(size=(5, dim)), rng.random(5), np.arange(5))
-        stored = ConeFiles(sources, Box(np.full(dim, -5.0), np.full(dim, 5.0))).stored(
-            rng.integers(5, size=len(cells))
-        )
+        goals = Sources(rng.normal(size=(5, dim)), np.zeros(5), np.arange(5))
+        stored = ConeFiles(goals, Box([-5.0] * dim, [5.0] * dim)).stored(rng.integers(5, size=len(cells)))
+        offset = np.float32(rng.random(len(stored.sources.code))).astype(float)
+        stored = replace(stored, sources=replace(stored.sources, root_offset=offset))
     else:
         faces = shared_faces(tree, periodic)
         partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)
