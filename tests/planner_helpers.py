@@ -114,9 +114,7 @@ def apart(joint, state, primitive):
 def reachable(joint):
     """Return all joint configurations that sequences of joint motions reach."""
     start = tuple(lattice.start for lattice in joint.lattices)
-    primitive = np.array(
-        list(product(*(range(lattice.child.shape[1]) for lattice in joint.lattices))), dtype=np.uint8
-    )
+    primitive = np.array(list(product(*(range(each.child.shape[1]) for each in joint.lattices))), dtype=np.uint8)
     reached, newest = {start}, [start]
     while newest:
         state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)

@@ -5,7 +5,18 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planner_helpers import TIGHT, TIGHT_TEAM, TRIO, apart, hallway, joint_lattice_of, reachable, search_budget
+from planner_helpers import (
+    DOOR,
+    ROOMS,
+    TIGHT,
+    TIGHT_TEAM,
+    TRIO,
+    apart,
+    hallway,
+    joint_lattice_of,
+    reachable,
+    search_budget,
+)
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, bl_plan, scenes, validate
 from plr_jax.planners import BLOptions, Status, best_first, straight_line, zero
@@ -21,7 +32,6 @@ PAIR = Problem(
     [(1.5, 1.5, 1), (0.5, 0.5, 0)],
 )
 DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
-DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
 
 
 class Separable:

@@ -15,12 +15,8 @@ HALLS = Workspace(((0, 0), (10, 6)), [shapely.box(4, 1, 6, 2.5), shapely.box(4, 
 
 
 def at_time(problem, solution, at, goals=None, workspace=None):
-    return Problem(
-        workspace or problem.workspace,
-        problem.robots,
-        solution.path_at(at),
-        problem.goals if goals is None else goals,
-    )
+    goals = problem.goals if goals is None else goals
+    return Problem(workspace or problem.workspace, problem.robots, solution.path_at(at), goals)
 
 
 def assert_solves(problem, solution):

@@ -71,10 +71,8 @@ def test_lone_robot_goes_straight_at_unit_speed():
 
 def test_waiting_robot_goes_when_lane_is_free():
     """A hallway of one lane, with a bay: the first robot has it to itself until it is through."""
-    walls = [shapely.box(0, 1, 4, 3), shapely.box(5, 1, 10, 3)]
-    problem = Problem(
-        Workspace(((0, 0), (10, 3)), walls), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (4.5, 2.4)], [(9.5, 0.5), (0.5, 0.5)]
-    )
+    hallway = Workspace(((0, 0), (10, 3)), [shapely.box(0, 1, 4, 3), shapely.box(5, 1, 10, 3)])
+    problem = Problem(hallway, [DiscRobot(0.4)] * 2, [(0.5, 0.5), (4.5, 2.4)], [(9.5, 0.5), (0.5, 0.5)])
     first = between(problem.starts[:1], problem.goals[:1], np.linspace(0, 1, 61)[:, None])
     timetable = Timetable(problem, np.stack([first, np.repeat(problem.starts[1:], 61, axis=0)], axis=1))
     motion, arrives = plan_of(timetable, 1)
@@ -86,10 +84,8 @@ def test_waiting_robot_goes_when_lane_is_free():
 
 
 def test_blocked_robot_goes_as_near_as_possible():
-    walls = [shapely.box(0, 1, 10, 3)]
-    problem = Problem(
-        Workspace(((0, 0), (10, 3)), walls), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (5, 0.5)], [(9.5, 0.5), (6, 0.5)]
-    )
+    hallway = Workspace(((0, 0), (10, 3)), [shapely.box(0, 1, 10, 3)])
+    problem = Problem(hallway, [DiscRobot(0.4)] * 2, [(0.5, 0.5), (5, 0.5)], [(9.5, 0.5), (6, 0.5)])
     timetable = Timetable(problem, problem.starts[None])
     motion, arrives = plan_of(timetable, 0)
     assert not arrives and 3.6 < motion[-1, 0] <= 4.2

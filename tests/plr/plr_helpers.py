@@ -39,11 +39,8 @@ def walled(x):
     goal, left, right = np.array([0.1, 0.1]), np.array([0.4, 0.7]), np.array([0.5, 0.7])
     from_left = np.linalg.norm(left - goal)
     sees_goal = (x[:, 0] <= 0.4) | (x[:, 1] - 0.1 >= 2 * (x[:, 0] - 0.1))
-    value = np.where(
-        x[:, 1] >= 0.7,
-        np.linalg.norm(x - left, axis=1) + from_left,
-        np.linalg.norm(x - right, axis=1) + 0.1 + from_left,
-    )
+    over, behind = np.linalg.norm(x - left, axis=1), np.linalg.norm(x - right, axis=1) + 0.1
+    value = np.where(x[:, 1] >= 0.7, over, behind) + from_left
     value = np.where(sees_goal, np.linalg.norm(x - goal, axis=1), value)
     in_wall = (x[:, 0] > 0.4) & (x[:, 0] < 0.5) & (x[:, 1] < 0.7)
     return np.where(in_wall, np.inf, value)
