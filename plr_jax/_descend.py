@@ -81,35 +81,31 @@ def descend(
 
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
-    *If costs are lengths in a workspace*, paths go from corner to corner of the obstacles. The cost-to-go only ranks
-    the edges between corners. So each start reaches the goal if a path exists, and path lengths say little about the
-    accuracy of the cost-to-go.
+    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The field only ranks the edges between
+    corners. So each start reaches the goal if that is possible, and path lengths say little about a field.
 
-    *For other costs and spaces*, each step goes to a visible point: the one with the largest decrease of the
-    cost-to-go per cost of the step. Then vertices are skipped or shifted to reduce the path's cost. A slower search
-    escapes from local minima, and gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few
-    tenths of a second.
+    *Other costs and spaces*: paths take finite steps to the visible point where the field falls most per cost of the
+    step. Then vertices are skipped or shifted to reduce the cost. A slower search escapes from local minima, and
+    gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few tenths of a second.
 
     Args:
-        distance_fn: The cost-to-go: a function of points ``(n, dim)`` that returns costs ``(n,)``, NumPy or JAX, in
-            units of the motion cost; ``inf`` where unknown. The function is called with points in the space's domain,
-            with periodic axes wrapped.
-        space: The free space. A Workspace is the free space of a point robot; for a disc, pass the inflated
-            workspace.
+        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in
+            units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
+        space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
-        goal: Goal point, ``(dim,)``, in free space or on its boundary. If costs are lengths in a workspace, there may
-            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found.
-        cost_map: Factor of the motion cost at each point: the map for which ``distance_fn`` was computed. None: the
-            factor is 1 everywhere.
+        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
+            each path ends at the goal to which the shortest path was found. The field counts as 0 at each goal, so
+            its errors, or costs of ending at a goal, do not change which goal that is.
+        cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
         Status, path, length and cost for each start. With a cost map, costs are integrated to about 0.1 % or better;
-        a path may cost some percent more than the cheapest path.
+        a path may cost some percent more than the cheapest.
 
     Raises:
-        ValueError: If an argument has a wrong type or shape (``space`` must be a Workspace or a ConfigurationSpace),
-            or the goal is not free. Also if ``distance_fn`` returns NaN, or the cost map returns a factor that is not
-            positive and finite.
+        ValueError: If ``distance_fn`` is no function, ``space`` has a wrong type or only tests configurations, a
+            shape is wrong, the goal is not free, or a returned value is invalid: NaN of the field, or not positive
+            and finite for the cost map.
 
     References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """

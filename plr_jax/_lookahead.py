@@ -24,7 +24,7 @@ from plr_jax.plr.sampling import lattice
 from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_rates, pulled
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
-Points: TypeAlias = Float[np.ndarray, "_ dim"]
+Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays may have different lengths
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
 Counts: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
@@ -33,7 +33,7 @@ Chains: TypeAlias = tuple[Float[np.ndarray, "n longest dim"], Counts, Numbers, N
 
 
 def chains_of(
-    starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, " starts"], num_goals: int = 1
+    starts: Nodes, nodes: Nodes, onward: Next, first: Int[np.ndarray, " starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, " starts"]]:
     """Return the vertices of one path per start, and the number of vertices of each path.
 
@@ -111,7 +111,7 @@ class PathCosts:
     space: ConfigurationSpace
     cost_map: CostMap | None  # factor of the motion cost; None means 1
 
-    def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
+    def estimates(self, q0: Nodes, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
         """Estimate, from a few samples, the costs of straight motions from ``q0[i]`` to ``q0[i] + changes[i, j]``."""
         n, k, dof = changes.shape
         motion_cost, domain = self.space.motion_cost, self.space.domain
@@ -124,7 +124,7 @@ class PathCosts:
         rates = motion_rates(motion_cost, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
-    def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, " n"]:
+    def integrals(self, q0: Nodes, q1: Nodes, tolerance: float) -> Float[np.ndarray, " n"]:
         """Integrate the cost along straight motions from ``q0`` to ``q1``.
 
         The relative error is at most about ``tolerance``. Motions go the shorter way around periodic axes.
@@ -210,9 +210,9 @@ class _Lookahead:
         self.side = _CELL * float((motion_cost.scale * self.domain.width).max())
         self.num_cells = np.maximum(1, np.rint(motion_cost.scale * self.domain.width / self.side))
         self.cell_steps = np.concatenate([self.side * count * directions for count in _CELL_STEPS])
-        self.escapes: dict[bytes, Points | None] = {}
+        self.escapes: dict[bytes, Nodes | None] = {}
 
-    def values(self, x: Points) -> Float[np.ndarray, " n"]:
+    def values(self, x: Nodes) -> Float[np.ndarray, " n"]:
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
         if num := int(np.count_nonzero(inside)):
@@ -220,7 +220,7 @@ class _Lookahead:
             values[inside] = as_distances("The field", self.field(batch), batch)[:num]
         return np.maximum(values, 0.0)
 
-    def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, " n"]]:
+    def follow(self, starts: Nodes) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, " n"]]:
         # Return the nodes of all paths, goal first; the index of each node's next node (-1: stuck, and the goal's
         # is 0); and the index of each start's node.
         #
@@ -254,7 +254,7 @@ class _Lookahead:
             x, value = y[goes_on], self.values(y[goes_on])
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
-    def _step(self, x: Points, value: Float[np.ndarray, " n"]) -> tuple[Points, Int[np.ndarray, " n"]]:
+    def _step(self, x: Nodes, value: Float[np.ndarray, " n"]) -> tuple[Nodes, Int[np.ndarray, " n"]]:
         # Return the end of the best step from each node, and its status: 1 if it ends at the goal, -1 if there is no
         # step, else 0.
         num_ways = 1 + len(self.steps)
@@ -279,7 +279,7 @@ class _Lookahead:
             falls[:, 0] = True
             return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
 
-        def leads_to(x: Points, way: Int[np.ndarray, " n"]) -> Points:
+        def leads_to(x: Nodes, way: Int[np.ndarray, " n"]) -> Nodes:
             return np.where(way[:, None] == 0, self.goal, self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1]))
 
         def sees(row: Int[np.ndarray, " pairs"], way: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
@@ -292,7 +292,7 @@ class _Lookahead:
         way = first_visible_in_parts(flatness, len(x), num_ways, sees)[0][:, 0]
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
-    def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
+    def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Nodes | None:
         """Return a path from a local minimum ``x`` of the cost-to-go to a point where it is less than ``below``.
 
         The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
@@ -313,7 +313,7 @@ class _Lookahead:
                 return np.concatenate([center[None], chain])
         return self._search_below(x, below)
 
-    def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
+    def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Nodes | None:
         """Search best first for a path from ``x`` to a point where the cost-to-go is less than ``below``.
 
         Return the nodes of the path after ``x``, or None if the search fails. The search visits at most one node per
@@ -349,12 +349,12 @@ class _Lookahead:
                 return np.stack(chain[::-1])
         return None
 
-    def _cells(self, x: Points) -> list[tuple[int, ...]]:
+    def _cells(self, x: Nodes) -> list[tuple[int, ...]]:
         cells = np.floor((x - self.domain.lo) / self.domain.width * self.num_cells)
         return list(map(tuple, cells.astype(int).tolist()))
 
 
-def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
+def _skip_nodes(costs: PathCosts, nodes: Nodes, onward: Next) -> Next:
     """Shorten paths: skip a node if the straight motion from the node before it to the node after it is cheaper.
 
     The motion must also be free. ``onward`` and the result are the index of each node's next node; -1 marks a node
@@ -379,7 +379,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         onward[rows[better]], leg[rows[better]] = ahead[rows[better]], straight[better]
 
 
-def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, " paths"]) -> Points:
+def _shift_nodes(costs: PathCosts, nodes: Nodes, onward: Next, first: Int[np.ndarray, " paths"]) -> Nodes:
     """Return the nodes of paths, shifted so that the segments between them cost less.
 
     ``onward`` is the index of the next node of each node. The goal (node 0) and the nodes with the indices ``first``,
@@ -406,8 +406,8 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 
 
 def _cheapest_places(
-    costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
-) -> Points:
+    costs: PathCosts, before: Nodes, x: Nodes, after: Nodes, changes: Float[np.ndarray, "k dim"]
+) -> Nodes:
     """Return, for each ``i``, the point through which the path from ``before[i]`` to ``after[i]`` costs least.
 
     The candidates are ``x[i]``, and ``x[i] + changes[j]`` for each ``j``. The path consists of two straight motions,
@@ -416,10 +416,10 @@ def _cheapest_places(
     # Changes are compared by estimated costs where the estimate at x is accurate (`is_known`), else by exact costs.
     domain, k = costs.space.domain, len(changes)
 
-    def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, " n"]:
+    def exact(a: Nodes, x: Nodes, b: Nodes) -> Float[np.ndarray, " n"]:
         return costs.integrals(a, x, _STEP_TOLERANCE) + costs.integrals(x, b, _STEP_TOLERANCE)
 
-    def estimated(a: Points, x: Points, b: Points) -> Float[np.ndarray, " n"]:
+    def estimated(a: Nodes, x: Nodes, b: Nodes) -> Float[np.ndarray, " n"]:
         to_x, to_b = domain.difference(x, a)[:, None], domain.difference(b, x)[:, None]
         return (costs.estimates(a, to_x) + costs.estimates(x, to_b))[:, 0]
 

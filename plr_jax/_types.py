@@ -1,12 +1,11 @@
-"""Types that oracles, PLRs and planners share: aliases of arrays, and protocols of distance functions.
+"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions.
 
-The table lists the protocols, examples of classes that satisfy each, and examples of public callers that check it.
-A PLR (piecewise linear regression) is a distance function compressed into few bytes::
+Classes that have the members of a protocol, among others, and functions that ask for it::
 
     DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
     FunctionOfBox         PLR                               plot
     PiecewiseFunction     PLR                               plot
-    CellwiseFn            VisibilityGraph, NearestGoal      construct
+    CellwiseFn            VisibilityGraph, NearestGoal      construct, certify
     FamilyFn              VisibilityGraph                   construct_many
     NearestFn             NearestGoal                       construct
     ReachFn               VisibilityGraph, Roadmap          construct
@@ -15,8 +14,9 @@ A PLR (piecewise linear regression) is a distance function compressed into few b
     SymmetricFn           Euclidean, ReedsShepp             construct
     HeuristicFn           SumOverRobots                     bl_plan
 
-``isinstance(x, Protocol)`` tests only whether ``x`` has members with the protocol's names. So a ``NearestGoal`` has
-the attributes ``cell_sources``, ``reach`` and ``goals`` only if all its functions are VisibilityGraphs of one map.
+Tests by ``isinstance`` see only whether an object has members of these names. So ``NearestGoal``, which answers for
+cells only if all its functions are VisibilityGraphs of one map, is always a ``CellwiseFn``; in other cases, its
+``cell_sources`` is None.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,17 +78,27 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The *sources* of a distance function: the goal, and the points where shortest paths to the goal may turn.
+    """Goals, and the points where shortest paths to the nearest goal may turn.
 
-    The first segment of any shortest path ends at a source. If there are several goals, the goals are the first
-    sources, and each distance is the distance to the nearest goal.
+    The shortest path from any point starts with a straight segment to one of these points, its *source*. Sources that
+    reach a goal and are their own parents are called *roots*. The constructor checks two conditions:
+
+    - Every root has the distance 0, so it is a goal. No path to a goal is better continued to another goal, and
+      sources at one place have equal distances, so that files may merge them.
+    - If goals are named, they are the first sources and the only roots. Files store names in the order of the roots.
     """
 
     points: Float[np.ndarray, "sources dim"]
-    distances: Float[np.ndarray, " sources"]  # to the goal; inf where it cannot be reached
+    distances: Float[np.ndarray, " sources"]  # to the nearest goal; inf if no goal can be reached
     parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a goal and if unreachable
     # Index in `points` of each goal; equal goals share the first index. None: the only goal is point 0.
     goals: Int[np.ndarray, "goals"] | None = None
+
+    def __post_init__(self) -> None:
+        roots = np.flatnonzero((self.parents == np.arange(len(self.parents))) & np.isfinite(self.distances))
+        named = roots if self.goals is None else np.arange(len(self.goals))
+        if not np.array_equal(roots, named) or self.distances[roots].any():
+            raise ValueError(f"Sources that are their own parents must be goals, named ones first, got {roots}.")
 
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports
@@ -98,11 +108,11 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 class CellwiseFn(_PointFn, Protocol):
     """A distance function in the plane that knows where shortest paths from the points of a box may turn first.
 
-    ``cell_sources(domain)`` divides the free space in the box ``domain`` into convex pieces, and returns for each
-    piece the points where paths from it may turn first.
+    ``cell_sources`` is a method that takes the box, or None if the function does not know.
     """
 
-    def cell_sources(self, domain: Any, /) -> CellSources: ...
+    @property
+    def cell_sources(self) -> Callable[[Any], CellSources] | None: ...
 
 
 @runtime_checkable
@@ -135,8 +145,6 @@ class NearestFn(CellwiseFn, Protocol):
     ``which`` returns the index of the nearest goal for each point; -1 if no goal can be reached.
     """
 
-    @property
-    def goals(self) -> Float[np.ndarray, "goals 2"]: ...
     def which(self, x: ArrayLike, /) -> Int[np.ndarray, " n"]: ...
 
 

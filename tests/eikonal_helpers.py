@@ -1,5 +1,7 @@
 """Helpers for tests of the eikonal solver: boxes as obstacles in any dimension, random meshes, hard points."""
 
+from itertools import product
+
 import numpy as np
 import shapely
 from space_helpers import BOUNDS, rectangle
@@ -27,9 +29,7 @@ class BoxSpace:
     def __init__(self, domain, *obstacles, blocks=None):
         self.domain = domain
         obstacles = np.array(obstacles, float).reshape(-1, 2, domain.dim)
-        turns = np.stack(
-            np.meshgrid(*[(-1, 0, 1) if p else (0,) for p in domain.periodic], indexing="ij"), -1
-        ).reshape(-1, 1, domain.dim)
+        turns = np.array(list(product(*[(-1, 0, 1) if p else (0,) for p in domain.periodic])))[:, None]
         self.lo, self.hi = ((obstacles[:, k] + turns * domain.width).reshape(-1, domain.dim) for k in (0, 1))
         self.motion_cost = MotionCost(blocks or ((tuple(range(domain.dim)), 1.0),))
 

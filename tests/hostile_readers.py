@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pair_helpers import serpentine
 from PIL import Image, TiffImagePlugin
 from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
-from plr_jax.pairs.stored import Outline, PairsFileData
 from plr_jax.plr.container import Header
-from plr_jax.plr.tree import Cells, tree_of
 
 _GRID = """type octile
 height 4
@@ -103,16 +102,8 @@ def _plr_files() -> list[bytes]:
 
 
 def _pairs_files() -> list[bytes]:
-    return [plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600).to_bytes(), corridor(8192)]
-
-
-def corridor(count: int) -> bytes:
-    """Return a file of pairs for a corridor of few bytes per corner, whose tables would take a gigabyte."""
-    x = np.arange(count // 2)
-    points = np.concatenate([np.stack([2 * x, 3 * (x % 2)], 1), np.stack([2 * x, 10 + 3 * (x % 2)], 1)[::-1]])
-    outline = Outline(np.zeros(2), 1.0, points, np.array([0, count]), False)
-    tree, corner, joined = tree_of(Cells.root(2)), np.arange(count), np.zeros((0, 2), np.int64)
-    return PairsFileData(Box((0, 0), (count, 14)), outline, corner, joined, tree, 0 * corner, corner, 0.0).to_bytes()
+    small = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
+    return [small.to_bytes(), serpentine(8192).to_bytes()]
 
 
 def _picture_files() -> list[bytes]:

@@ -25,9 +25,7 @@ def joined(rooms, n=40, squeeze=False):
     """Return 10 x 10 rooms as one workspace, so that queries are compiled once, and pairs of points per room."""
     side = int(np.ceil(len(rooms) ** 0.5))
     shifts, size = 11 * np.stack(np.divmod(np.arange(len(rooms)), side), axis=1), 11 * side - 1
-    obstacles = [
-        wall for k in range(1, side) for wall in (box(11 * k - 1, 0, 11 * k, size), box(0, 11 * k - 1, size, 11 * k))
-    ]
+    obstacles = [wall for k in range(11, 11 * side, 11) for wall in (box(k - 1, 0, k, size), box(0, k - 1, size, k))]
     for room, shift in zip(rooms, shifts, strict=True):
         inside = shapely.intersection(room.obstacles, shapely.box(0, 0, 10, 10))
         obstacles += [affinity.translate(part, *shift) for part in shapely.get_parts(inside) if part.area > 0]
@@ -46,7 +44,7 @@ def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0)
 
 
 def serpentine(corners, joined=()):
-    """Return the file data of a corridor with this number of corners; see :func:`stored_ring`."""
+    """Return a corridor of few bytes per corner, whose tables may take a gigabyte; see :func:`stored_ring`."""
     k = np.arange(corners // 2)
     points = np.concatenate([np.stack([2 * k, 3 * (k % 2)], 1), np.stack([2 * k, 10 + 3 * (k % 2)], 1)[::-1]])
     return stored_ring(points, (2 * len(k), 14), joined, rounding=2.0**-10)

@@ -50,12 +50,10 @@ def random_pieces(rng, n, size=3.0):
 def points_of(rng, pieces, k):
     """Return ``k`` random points of each piece, a third of them near corners, ``(pieces, k, 2)``."""
     weight = rng.dirichlet(np.full(pieces.shape[2], 0.5), (pieces.shape[1], k))
-    near = rng.integers(pieces.shape[2], size=(pieces.shape[1], k))
-    share = np.where(rng.random((pieces.shape[1], k)) < 1 / 3, 1 - 10.0 ** rng.uniform(-7, -2, near.shape), 0.0)
-    weight *= 1 - share[:, :, None]
-    np.put_along_axis(
-        weight, near[:, :, None], share[:, :, None] + np.take_along_axis(weight, near[:, :, None], 2), 2
-    )
+    near = rng.integers(pieces.shape[2], size=(pieces.shape[1], k, 1))
+    share = np.where(rng.random(near.shape) < 1 / 3, 1 - 10.0 ** rng.uniform(-7, -2, near.shape), 0.0)
+    weight *= 1 - share
+    np.put_along_axis(weight, near, share + np.take_along_axis(weight, near, 2), 2)
     return np.einsum("pkc,dpc->pkd", weight, pieces)
 
 

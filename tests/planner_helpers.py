@@ -15,7 +15,7 @@ from plr_jax.planners._solution import SearchBudget
 from plr_jax.planners.lattice import build_lattices
 
 ROOM = Workspace(((0, 0), (10, 10)))
-MIXED = Problem(
+TRIO = Problem(
     ROOM,
     [DiscRobot(0.4), RectangleRobot(1.2, 0.4), PointRobot()],
     [(1, 1, 5), (1, 8, 0), (5, 1, 0)],
@@ -63,9 +63,9 @@ def exact(problem):
     return sum_of_distances(robot_distance_fns(problem))
 
 
-def planned(problem, heuristic=None, **options):
-    """Return a solution after checking its validity, exact ends, and bounds."""
-    solution = bl_plan(problem, heuristic or exact(problem), BLOptions(**options))
+def planned(problem, heuristic, **options):
+    """Return a solution after checking its validity, exact ends, and bounds; None is the planner's own heuristic."""
+    solution = bl_plan(problem, heuristic, BLOptions(**options))
     assert solution.solved, solution
     report = validate(problem, solution.path)
     assert report.valid, report.message
@@ -114,9 +114,7 @@ def apart(joint, state, primitive):
 def reachable(joint):
     """Return all joint configurations that sequences of joint motions reach."""
     start = tuple(lattice.start for lattice in joint.lattices)
-    primitive = np.array(
-        list(product(*(range(lattice.child.shape[1]) for lattice in joint.lattices))), dtype=np.uint8
-    )
+    primitive = np.array(list(product(*(range(each.child.shape[1]) for each in joint.lattices))), dtype=np.uint8)
     reached, newest = {start}, [start]
     while newest:
         state = np.repeat(np.array([newest.pop()]), len(primitive), axis=0)

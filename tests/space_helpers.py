@@ -4,16 +4,13 @@ import itertools
 
 import numpy as np
 import shapely
+from piece_helpers import box as rectangle
 
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces._space import CellState
 
 BOUNDS = ((0.0, 0.0), (4.0, 3.0))
 CENTERS, RADII = np.array([[2, 2, 1.5], [1, 1, 2.4], [3.2, 1, 0.8]]), np.array([0.6, 0.3, 0.4])
-
-
-def rectangle(x0, y0, x1, y1):
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
 
 
 def random_workspace(seed):

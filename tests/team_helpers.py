@@ -7,14 +7,14 @@ from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot
 from plr_jax.planners.lacam import LaCAM, TeamMoves
 
 TRIANGLE = PolygonRobot([(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)])
-MIXED = Problem(
+FIVE = Problem(
     Workspace(((0, 0), (6, 5)), [shapely.box(2, 0, 2.3, 3)]),
     [DiscRobot(0.3), RectangleRobot(0.9, 0.4), DiscRobot(0.3), PointRobot(), TRIANGLE],
     [(0.5, 0.6, 0), (1.0, 3.7, 0.4), (5.5, 0.6, 0), (3.1, 1.0, 0), (4.0, 4.0, 1.0)],
     [(5.3, 4.4, 0), (5.2, 1.2, -2.0), (0.6, 0.5, 0), (0.4, 4.6, 0), (1.0, 4.0, 0.0)],
 )
 
-TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(8), 0.4), "mixed": (MIXED, 0.6)}
+TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(8), 0.4), "mixed": (FIVE, 0.6)}
 
 
 def team_of(problem, step):

@@ -78,9 +78,7 @@ def parts_of(names: set[str], room: str) -> set[str]:
 def test_parts_import_only_layers_below(imports):
     for room, layers_of_room in ROOMS.items():
         layers = [layer.split() for layer in layers_of_room.split("/")]
-        part_of = {
-            path: path.relative_to(room).parts[0].removesuffix(".py") for path in imports if path.is_relative_to(room)
-        }
+        part_of = {p: p.relative_to(room).parts[0].removesuffix(".py") for p in imports if p.is_relative_to(room)}
         assert set(part_of.values()) - {"__init__"} == {part for layer in layers for part in layer}
         below: dict[str, set[str]] = {"__init__": set().union(*layers)}
         for row, layer in enumerate(layers):
@@ -97,9 +95,8 @@ def test_only_leaves_import_leaf_models(imports):
 
 
 def test_only_plot_imports_matplotlib(imports):
-    drawing = {
-        path for path, names in imports.items() if {"matplotlib", "mpl_toolkits"} & {n.split(".")[0] for n in names}
-    }
+    libraries = {path: {name.split(".")[0] for name in names} for path, names in imports.items()}
+    drawing = {path for path, names in libraries.items() if {"matplotlib", "mpl_toolkits"} & names}
     assert drawing and all(path.is_relative_to("plot") for path in drawing)
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import shapely
 from descent_helpers import descended
-from piece_helpers import SEEDS
+from piece_helpers import SEEDS, TEN, box
 from space_helpers import far_from, nothing_known
-from space_helpers import rectangle as box
 
 from plr_jax import LipschitzCost, NearestGoal, PlaneSpace, VisibilityGraph, Workspace, construct, descend, scenes
 from plr_jax._descend import DescentStatus
@@ -17,7 +16,6 @@ from plr_jax.spaces import CheckedSpace
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 UNDEFINED_COST = LipschitzCost(lambda q: q[:, 0] * math.nan, lipschitz=1.0, least=1.0)
-TEN = ((0, 0), (10, 10))
 ROOM, SQUARE = Workspace(TEN), Workspace(((0, 0), (2, 2)))
 DOOR = Workspace(TEN, [box(4, 0, 6, 7), box(4, 8, 6, 10)])
 TRAP = Workspace(TEN, [box(3, 2, 7, 3), box(3, 7, 7, 8), box(6, 2, 7, 8)])  # a U, open to the left
@@ -73,6 +71,16 @@ def test_paths_end_at_the_nearest_of_several_goals(is_exact):
     if is_exact:
         np.testing.assert_allclose(descent.lengths, least, rtol=1e-12, atol=1e-12)
         np.testing.assert_array_equal(ends, goals[nearest.which(starts)])
+
+
+def test_paths_end_at_the_nearest_goal_whatever_the_field_is_at_goals():
+    goals, starts = np.array([(2.0, 2.0), (8.0, 2.0)]), DOOR.sample_free(40, 0)
+    oracles = [VisibilityGraph(DOOR, goal) for goal in goals]
+    distances = np.stack([oracle(starts) for oracle in oracles])
+    descent = descended(lambda x: np.minimum(oracles[0](x) + 6, oracles[1](x)), DOOR, starts, goals)
+    np.testing.assert_allclose(descent.lengths, distances.min(axis=0), rtol=1e-12)
+    np.testing.assert_array_equal(descent.vertices[:, -1], goals[distances.argmin(axis=0)])
+    assert (distances[0] < distances[1])[distances[0] + 6 > distances[1]].any(), "the field prefers the other goal"
 
 
 def test_statuses_of_starts():
@@ -196,12 +204,3 @@ def test_every_start_with_a_path_reaches_the_goal(seed):
         descent = descended(field, workspace, starts, goal)
         np.testing.assert_array_equal(descent.reached, np.isfinite(distance))
         assert (descent.lengths >= distance - 1e-7).all()
-
-
-@pytest.mark.parametrize("squeeze", [True, False])
-def test_paths_pass_contacts_only_if_workspace_squeezes(squeeze):
-    workspace = Workspace(TEN, [box(0, 4, 5, 5), box(5, 5, 9, 6)], squeeze=squeeze)
-    exact, starts = VisibilityGraph(workspace, (4, 8)), np.array([[7.0, 2.0], [5.5, 4.5], [1.0, 1.0]])
-    descent = descended(exact, workspace, starts, (4, 8))
-    np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-9)
-    assert ((5.0, 5.0) in set(map(tuple, descent.paths[0].tolist()))) == squeeze

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from plr_jax import scenes
+from plr_jax import Solution, scenes
 from plr_jax._files import json_of, text_of, write_atomically, yaml_of
 
 DEEP = "expected lists and mappings at most 32 deep"
@@ -15,15 +15,15 @@ MANY_DIGITS = "Exceeds the limit"
 ALIASES = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefghi"))
 HEADER = "type octile\nheight {}\nwidth 2\nmap\n..\n"
 HOSTILE = {
-    ("a.json", scenes.load, scenes.read_polygons): [
+    ("a.json", scenes.load, scenes.read_polygons, Solution.load): [
         ("[" * 100_000, "recursion"),
         ("[" * 33 + "]" * 33, DEEP),
         ('{"a":' * 33 + "1" + "}" * 33, DEEP),
         ("[" + "1" * 400 + "]", "larger integer"),
         ("[" + "1" * 5000 + "]", MANY_DIGITS),
         (b'{"a": "\xff"}', "expected text in UTF-8"),
-        (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
     ],
+    ("b.json", scenes.load, scenes.read_polygons): [(b" " * (2**24 + 1), "at most 16,777,216 bytes")],
     ("a.yaml", scenes.read_map_server, scenes.read_cost_map): [
         (ALIASES, "neither aliases nor tags are read.* line 2"),
         ("a: &a {x: 1}\nb: {<<: [*a, *a]}", "neither aliases nor tags"),

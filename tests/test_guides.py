@@ -22,9 +22,7 @@ RUNS += [pytest.param(name, False, marks=pytest.mark.full) for name in PAGES if 
 
 def test_every_public_name_is_in_a_guide():
     text = "\n".join(PAGES.values())
-    assert {f"plr_jax.{name}" for name in plr_jax.__all__ if name != "guides"} <= set(
-        re.findall(r"plr_jax\.\w+", text)
-    )
+    assert {f"plr_jax.{n}" for n in plr_jax.__all__ if n != "guides"} <= set(re.findall(r"plr_jax\.\w+", text))
 
 
 def test_index_and_readme_name_all_pages():

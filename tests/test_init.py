@@ -37,9 +37,7 @@ def test_type_information_is_installed():
     assert (folder / "__init__.pyi").exists() and (folder / "py.typed").exists()
 
 
-@pytest.mark.parametrize(
-    "package", [plr_jax, plr_jax.plot, plr_jax.plr, plr_jax.scenes], ids=lambda each: each.__name__
-)
+@pytest.mark.parametrize("package", [plr_jax, plr_jax.plot, plr_jax.plr, plr_jax.scenes], ids=lambda p: p.__name__)
 def test_packages_list_their_public_names(package):
     assert all(getattr(package, name) is not None for name in package.__all__)
     assert set(package.__all__) <= set(dir(package))

@@ -29,9 +29,8 @@ def test_points_rounded_into_walls_reach_the_goal():
     np.testing.assert_allclose(ORACLE.between(points, points[::-1]), ORACLE.between(exact, exact[::-1]), atol=1e-6)
     assert np.isfinite(pj.Roadmap.from_workspace(WORKSPACE, points[1], 300)(points)).all()
     assert pj.descend(ORACLE, WORKSPACE, points, points[1]).reached.all()
-    assert pj.trace(
-        pj.construct(ORACLE, WORKSPACE.bounds, leaf="cone", max_leaves=60), points, WORKSPACE
-    ).arrived.all()
+    cones = pj.construct(ORACLE, WORKSPACE.bounds, leaf="cone", max_leaves=60)
+    assert pj.trace(cones, points, WORKSPACE).arrived.all()
     inside = np.array([shapely.get_coordinates(each.centroid)[0] for each in TURNED], np.float32)
     assert np.isinf(ORACLE(inside)).all()
 

@@ -111,9 +111,8 @@ def test_thin_walls_stop_all_robots(width):
     for angle in (0, 12.3):  # degrees
         rotate = partial(shapely.affinity.rotate, angle=angle, origin=(2, 2))
         thin = Workspace(((0, 0), (4, 4)), [rotate(wall)])
-        start, tip, other_tip, inside, end = shapely.get_coordinates(
-            rotate(shapely.MultiPoint([(1, 2), (2, 0.5), (2 + width, 0.5), (2, 2), (3, 2)]))
-        )
+        places = rotate(shapely.MultiPoint([(1, 2), (2, 0.5), (2 + width, 0.5), (2, 2), (3, 2)]))
+        start, tip, other_tip, inside, end = shapely.get_coordinates(places)
         for robot, turn in ((POINT, 0), (DiscRobot(1e-8), 0), (DiscRobot(0.1), 0), (bar, 0), (bar, 1)):
             dof = team_dof([robot])
             rows = [[(*start, 0)[:dof]], [(*end, turn)[:dof]]]

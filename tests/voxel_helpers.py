@@ -65,9 +65,8 @@ def passes(free, q0, q1):
 
 def state_of(free, lo, hi, step=4):
     """Return 1 for a free box, 0 for a blocked one, 2 for a mixed one, by samples."""
-    ticks = [
-        np.arange(a, b + 1 / step, 1 / step) for a, b in zip(lo, hi, strict=True)
-    ]  # corners are multiples of 2 / step
+    # Corners are multiples of 2 / step.
+    ticks = [np.arange(a, b + 1 / step, 1 / step) for a, b in zip(lo, hi, strict=True)]
     samples = list(itertools.product(*[t.tolist() for t in ticks]))
     inner = [x for x in samples if all(a < c < b for a, c, b in zip(lo, x, hi, strict=True))]
     if not any(free_around(free, x) for x in inner):

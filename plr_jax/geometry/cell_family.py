@@ -248,4 +248,4 @@ def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[Family
     vertex, at, distance = concatenated([goal.turns for goal in goals], "vertex", "points", "distance")
     normal = np.concatenate([goal.turns.normal for goal in goals], axis=1)
     turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
-    return Sight(sources, view.ravel(), turn.ravel(), shadows, turns, sight.triangulation, True)
+    return Sight(sources, view.ravel(), turn.ravel(), shadows, turns, sight.triangulation)

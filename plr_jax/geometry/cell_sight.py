@@ -183,7 +183,6 @@ class Sight:
     shadows: Shadows  # with the visibility table
     turns: TurnPoints
     triangulation: Triangulation
-    has_goal: bool  # whether the sources have distances to a goal
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
         """Return whether shortest paths from some point of polygon ``i`` may turn at ``source[i]``; True for a goal.
@@ -387,7 +386,7 @@ class CellSources:
         ``changed`` has a boolean for each piece. If there is a goal, also call :meth:`prune_dominated`.
         """
         # 1. Compute the centers of changed pieces. A path straight to the old center bounds the distance of the new.
-        has_goal = self.sight.has_goal
+        has_goal = np.isfinite(self.sources.distances).any()
         center = self.center.copy()
         center[changed] = convex_pieces.centers(self.pieces[:, changed])
         moved = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
@@ -465,7 +464,7 @@ def goal_sight(
     turn = np.full(len(index), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[:num_goals] = -1
     turn[turns.vertex] = np.arange(len(turns.vertex))
-    return Sight(sources, index, turn, Shadows.of(table), turns, triangulation, True)
+    return Sight(sources, index, turn, Shadows.of(table), turns, triangulation)
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
@@ -489,7 +488,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)
-    return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation, False)
+    return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation)
 
 
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:

@@ -1,7 +1,7 @@
 """The distance to the nearest of several goals."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -9,7 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_point, as_points, as_queries, as_values, is_traced, set_fields, shortened
-from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn
+from plr_jax._types import ArrayLike, CellSources, DimensionedFn, DistanceFn
+from plr_jax.geometry.box import Box
+from plr_jax.geometry.reach import Reach
 from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 
 
@@ -31,6 +33,7 @@ class NearestGoal:
 
     distance_fns: tuple[DistanceFn, ...]
     dim: int
+    _graphs: tuple[VisibilityGraph, ...] = field(repr=False)  # the functions, if all are of one workspace
 
     def __init__(self, distance_fns: Sequence[DimensionedFn]):
         fns = tuple(distance_fns) if isinstance(distance_fns, list | tuple) else ()
@@ -39,13 +42,19 @@ class NearestGoal:
                 "NearestGoal needs a list of distance functions, one per goal, such as VisibilityGraphs or PLRs of "
                 f"the same dim, got {shortened(distance_fns)}."
             )
-        set_fields(self, distance_fns=fns, dim=fns[0].dim)
         graphs = tuple(fn for fn in fns if isinstance(fn, VisibilityGraph))
-        if len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1:
-            # Only with these attributes, the object is a NearestFn.
-            goals = np.stack([graph.goal for graph in graphs])
-            reach = partial(graphs[0].workspace.reach, goals)
-            set_fields(self, goals=goals, cell_sources=partial(nearest_cell_sources, graphs), reach=reach)
+        share_map = len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1
+        set_fields(self, distance_fns=fns, dim=fns[0].dim, _graphs=graphs if share_map else ())
+
+    @property
+    def cell_sources(self) -> Callable[[Box], CellSources] | None:
+        """A function like ``VisibilityGraph.cell_sources``; None unless all are VisibilityGraphs of one workspace."""
+        return partial(nearest_cell_sources, self._graphs) if self._graphs else None
+
+    def reach(self, domain: Box) -> Reach | None:
+        """Return which boxes of a domain hold free points without a path; None if there are none or it is unknown."""
+        goals = [graph.goal for graph in self._graphs]
+        return self._graphs[0].workspace.reach(np.stack(goals), domain) if goals else None
 
     @property
     def is_lower_bound(self) -> bool:
@@ -87,6 +96,5 @@ class NearestGoal:
             return answers.__array_namespace__().nan_to_num(answers, nan=np.inf, posinf=np.inf)
         num = len(as_points("x", x, self.dim))
         x = as_queries(x)  # functions must know which points come as 32-bit floats
-        fns = enumerate(self.distance_fns)
-        answers = np.array([as_values(f"Distance function {i}", fn(x), num) for i, fn in fns])
-        return np.where(np.isnan(answers), np.inf, answers)  # PLRs answer NaN at points with a NaN
+        values = np.array([as_values(f"Distance function {i}", fn(x), num) for i, fn in enumerate(self.distance_fns)])
+        return np.where(np.isnan(values), np.inf, values)  # PLRs answer NaN at points with a NaN

@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
-from plr_jax._types import ArrayLike, CellSources, CellwiseFn, DistanceFn, Distances, NearestFn, Points
+from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode, filled_coefficients
@@ -204,7 +204,8 @@ def construct(
         contents = build(leaf)
     warn_if_cut_off(reach if contents.folding is None else None, contents)
     plr = plr_of_leaves(contents)
-    if isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone):  # files of cones name goals
+    # Files of cones name goals.
+    if isinstance(distance_fn, NearestFn) and distance_fn.cell_sources and not isinstance(contents.leaf, Cone):
         return plr.with_nearest_goal(distance_fn.which)
     return plr
 
@@ -231,10 +232,10 @@ def _build_leaves(
     model.check_dim(domain.dim)
     table_corners(domain)  # raises if 32-bit queries cannot represent the domain
     require_integer("seed", seed, 0)
-    answers_for_cells = isinstance(distance_fn, CellwiseFn)
+    cell_sources = getattr(distance_fn, "cell_sources", None)
     if proof is not Proof.NONE:
         require_certifiable(distance_fn, domain)
-    may_fold = proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells
+    may_fold = proof is Proof.NONE and not isinstance(model, Cone) and cell_sources is None
     folding = folding_of(distance_fn, domain) if may_fold else None
     reach = None if folding is not None else reach
     has_border = reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
@@ -246,8 +247,8 @@ def _build_leaves(
 
     # 2. Wrap the distance function: cell sources, workers, folded points.
     cache = None
-    if answers_for_cells and domain.dim == 2:
-        cache = SourceCache(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
+    if cell_sources is not None and domain.dim == 2:
+        cache = SourceCache(domain, cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
     if options.executor is not None:
         distance_fn = ParallelOracle(distance_fn, options.executor)
@@ -341,8 +342,8 @@ def build_best_model(
     """
     # 1. Find the sources of the whole domain once, for all models.
     root = None
-    if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
-        root = distance_fn.cell_sources(grown_domain(domain))
+    if (cell_sources := getattr(distance_fn, "cell_sources", None)) and domain.dim == 2 and not domain.is_periodic:
+        root = cell_sources(grown_domain(domain))
     names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
     # 2. Build the models. An interrupt ends a build with a warning and what was built so far; it also ends this loop.
     best, least_error = None, math.inf
@@ -451,19 +452,15 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             "certified=True."
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
-    root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
+    root = require_certifiable(oracle, plr.domain)(grown_domain(plr.domain))
     visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)
     proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof), straight=None)
     return plr_of_leaves(proven).with_label(plr.label)
 
 
-def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
-    """Return ``oracle`` if error bounds can be proven for its PLRs in ``domain``; else raise ``ValueError``.
-
-    The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells (see
-    :func:`certify`).
-    """
-    if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
+def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], CellSources]:
+    """Return an oracle's ``cell_sources``, by which bounds are proven; ``ValueError`` if there are none."""
+    if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
             f"got a {type(oracle).__name__} in {domain.dim} dimensions. Build the PLR without a proof and measure "
@@ -474,4 +471,4 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
             f"A proof needs Euclidean distances, without periodic axes, got {domain}. Build the PLR without a proof "
             "and measure its error."
         )
-    return oracle
+    return cell_sources

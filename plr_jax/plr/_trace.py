@@ -91,7 +91,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
-    sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
+    as_sourced(plr.leaf)
+    sources, source_of_leaf = plr.stored.sources, plr.stored.source
     rounding = _ROUNDING * float(plr.domain.width.max())
     if workspace is not None:
         from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
@@ -116,8 +117,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     #    has the source after k steps; shorter chains repeat their root. Decoded sources have no cycles.
     source, row = np.unique(first, return_inverse=True)
     generations = [source]
-    while (sources.parents[generations[-1]] != generations[-1]).any():
-        generations.append(sources.parents[generations[-1]])
+    while (sources.parent[generations[-1]] != generations[-1]).any():
+        generations.append(sources.parent[generations[-1]])
     chain = np.stack(generations, axis=1)
 
     # 2. Collect the points of the paths. Repeated roots add no length. A start that is a source is there twice: shift
@@ -132,7 +133,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     paths = paths[:, : max(1, counts.max(initial=1))]
 
     # 3. Find how each path ends.
-    is_at_goal = sources.distances[chain[:, -1]] <= rounding
+    is_at_goal = sources.offsets[chain[:, -1]] <= rounding
     status = np.where(is_at_goal[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     status[~is_free] = TraceStatus.CROSSES_WALL
 

@@ -12,7 +12,6 @@ from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.visibility import viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.leaves import as_sourced
 
 
 class SourceSight:
@@ -22,8 +21,8 @@ class SourceSight:
     """
 
     def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
-        sources, _ = as_sourced(plr.leaf).sources(plr.stored)
-        self._distances = sources.distances
+        sources = plr.stored.sources
+        self._distances = sources.offsets
         self._workspace = workspace
         self._tolerance = max(workspace.tolerance, rounding)  # files round sources
         # 1. Undo the rounding of corners: beside a point where two walls touch, a rounded one lies on either side.
@@ -38,12 +37,12 @@ class SourceSight:
         self._table, _ = visibility_of(mesh, viewpoints_at(mesh, points))
         # 3. Test the paths from all sources to their roots by pointer doubling: after round k, a source's path is
         #    tested up to `root`, its ancestor 2**k steps away; a root is its own parent.
-        root = sources.parents
+        root = sources.parent
         self._is_clear = workspace.is_visible(self._points, self._points[root], self._tolerance)
         while (root[root] != root).any():
             self._is_clear &= self._is_clear[root]
             root = root[root]
-        self._arrives = self._is_clear & (sources.distances[root] <= rounding)
+        self._arrives = self._is_clear & (sources.offsets[root] <= rounding)
 
     def free_paths(
         self, x: Points, first: Int[np.ndarray, " n"]

@@ -158,10 +158,8 @@ def test_robots_out_of_reach_are_apart(i, j):
     rng = np.random.default_rng(7)
     a0, b0 = rng.uniform(0, 4, (2, 200, 2, 3))
     a1, b1 = (q[:, :1] + rng.normal(0, 0.4, (200, 3, 3)) for q in (a0, b0))
-    a, b = (
-        (a0[:, :, None, None, None], a1[:, None, :, None, None]),
-        (b0[:, None, None, :, None], b1[:, None, None, None]),
-    )
+    a = a0[:, :, None, None, None], a1[:, None, :, None, None]
+    b = b0[:, None, None, :, None], b1[:, None, None, None]
     meet = np.flatnonzero(~motions_apart(CROWD[i], *a, CROWD[j], *b, TOLERANCE).all(axis=(1, 2, 3, 4)))
     near = within_reach(CROWD[i], circles(a0, a1), CROWD[j], circles(b0, b1))
     assert np.isin(meet, near).all() and 0 < len(meet) <= len(near) < 200

@@ -66,12 +66,6 @@ def test_long_motions_do_not_jump_over_thin_walls():
         assert is_free(robot, (1, 0.5, 0), (4.5, 0.5, 0.4), thin)
 
 
-def test_points_pass_contacts_only_if_workspace_squeezes():
-    for squeeze in (False, True):
-        touching = Workspace(((0, 0), (2, 2)), [box(0, 0, 1, 1), box(1, 1, 2, 2)], squeeze=squeeze)
-        assert is_free(POINT, (0.5, 1.5), (1.5, 0.5), touching) == squeeze
-
-
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("step", [0.2, 1.5])
 def test_wall_verdicts_agree_with_dense_samples(robot, step):

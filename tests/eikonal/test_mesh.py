@@ -164,12 +164,8 @@ def test_sampled_states_and_motions_agree_with_proven_ones():
     assert SAMPLED.classify(np.array([[0.4, 0.3]]), np.array([[0.5, 0.4]])).tolist() == [BLOCKED]
     q0 = np.array([[0.1, 0.5], [0.1, 0.1], [1.9, 0.5], [0.1, 0.5]])
     q1 = np.array([[1.5, 0.5], [1.5, 0.1], [0.1, 0.5], [0.5, 0.5]])
-    assert SAMPLED.are_free(q0, q1).tolist() == [
-        True,
-        True,
-        True,
-        False,
-    ]  # the first one wraps around the periodic axis
+    # The first motion wraps around the periodic axis.
+    assert SAMPLED.are_free(q0, q1).tolist() == [True, True, True, False]
 
 
 @pytest.mark.parametrize("width", [(1e6, 1e-3), (1e-6, 1.0, 1e6)])

@@ -9,6 +9,7 @@ from space_helpers import BOUNDS, Slow, random_workspace, rectangle
 from plr_jax import Box, DiscRobot, RectangleRobot, VisibilityGraph, Workspace, from_bytes, solve_eikonal
 from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, RigidBodySpace, VoxelSpace
 
+FULL = pytest.mark.full
 TOUCHING = rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)  # in a dyadic point
 ONCE, TWICE = (Workspace(BOUNDS, TOUCHING, squeeze=squeeze) for squeeze in (False, True))
 THIN = Workspace(BOUNDS, [rectangle(2, 0, 2 + 1e-7, 2.6), rectangle(1, 0.4, 1.0 + 1e-7, 3)])
@@ -46,10 +47,7 @@ def test_bounds_contain_exact_distance_at_hard_goals(workspace, goal, max_leaves
     [
         (1, 1, 60, 120),
         (3, 12, 40, None),
-        *(
-            pytest.param(k, (1, 2, 12)[k % 3], 10 * k, (None, 150, 600)[k // 3], marks=pytest.mark.full)
-            for k in range(1, 9)
-        ),
+        *(pytest.param(k, (1, 2, 12)[k % 3], 10 * k, (None, 150, 600)[k // 3], marks=FULL) for k in range(1, 9)),
     ],
 )
 def test_bounds_contain_exact_distance_on_random_maps(seed, num_goals, max_leaves, max_bytes):

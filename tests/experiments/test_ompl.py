@@ -75,9 +75,8 @@ def test_rectangle_and_disc_change_sides():
 def test_invalid_paths_are_dropped():
     walls = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 6), (4, 6)]])
     problem = Problem(walls, [POINT], [(1, 1)], [(9, 1)])
-    through, over, far_over = (
-        np.array([[(1, 1, 0)], [(*middle, 0)], [(9, 1, 0)]], float) for middle in ((5, 1), (5, 9.1), (5, 9.9))
-    )
+    middles = (5, 1), (5, 9.1), (5, 9.9)
+    through, over, far_over = (np.array([[(1, 1, 0)], [(*at, 0)], [(9, 1, 0)]], float) for at in middles)
 
     def found(*paths):
         messages = [Found(float(seconds), path) for seconds, path in enumerate(paths)]

@@ -44,10 +44,7 @@ def with_holes(holes):
         (lambda: Slice.of(SPACE, {0: 9.0}), "at must lie in Box"),
         (lambda: Slice.of(SPACE, {0: float("nan")}), "must have finite coordinates"),
         (lambda: as_polygon("P", np.array(BOW_TIE)), "P is not a simple polygon.*Self-intersection.*make_valid"),
-        (
-            lambda: as_polygon("P", shapely.Polygon(SQUARE, [2 * SQUARE - SQUARE.mean(axis=0)])),
-            "P has no area outside of its holes",
-        ),
+        (lambda: as_polygon("P", shapely.Polygon(SQUARE, [2 * SQUARE - SQUARE.mean(axis=0)])), "no area outside of"),
         (lambda: as_polygon("P", 1e155 * SQUARE), "P must have coordinates up to 1e\\+100"),
         (lambda: as_polygon("P", [[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
         (lambda: as_polygon("P", [[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
@@ -56,10 +53,7 @@ def with_holes(holes):
         (lambda: as_polygon("P", "ring"), "P must be numbers"),
         (lambda: as_polygons("P", 5), r"Ps must be a list of rings \(n, 2\) or Shapely polygons, got 5"),
         (lambda: as_polygons("P", shapely.GeometryCollection([POINT])), "P 0 must be a polygon, got a Point"),
-        (
-            lambda: as_polygons("P", SQUARE),
-            r"P 0 must have shape \(n, 2\), got \(2,\). Put a single ring into a list",
-        ),
+        (lambda: as_polygons("P", SQUARE), r"P 0 must have shape \(n, 2\), got \(2,\). Put a single ring into"),
         (lambda: Workspace(TEN, [SQUARE, "ring"]), "Obstacle 1 must be numbers"),
         (lambda: Workspace(((0, 0), (1, 1e155))), "coordinates up to 1e"),
         (lambda: Workspace(((0, 0), (1e-160, 1e-160))), "longer side must be at least 1e-100, .* smaller unit"),

@@ -5,15 +5,14 @@ import pickle
 import numpy as np
 import pytest
 
-from plr_jax import Euclidean, NearestGoal, VisibilityGraph, Workspace
-from plr_jax._types import NearestFn
+from plr_jax import Box, Euclidean, NearestGoal, VisibilityGraph, Workspace, construct
 
 # A room of two, and one without a goal.
 ROOMS = Workspace(((0, 0), (10, 4)), [[(4, 0), (4.2, 0), (4.2, 3), (4, 3)], [(8, 0), (8.1, 0), (8.1, 4), (8, 4)]])
 DOCKS = [(1.0, 1.0), (7.0, 1.0), (3.5, 3.5)]
 FIRST = VisibilityGraph(ROOMS, DOCKS[0])
 FNS = [FIRST, *map(FIRST.with_goal, DOCKS[1:])]
-X = ROOMS.sample_free(2000, 0)
+X, DOMAIN = ROOMS.sample_free(2000, 0), Box((0, 0), (10, 4))
 
 
 def test_distance_index_and_path_to_the_nearest_goal():
@@ -45,7 +44,12 @@ def test_masked_and_nan_distances_are_unreachable():
 
 def test_visibility_graphs_of_one_workspace_have_cells():
     nearest, other = NearestGoal(FNS), VisibilityGraph(Workspace(((0, 0), (10, 4))), DOCKS[0])
-    assert isinstance(nearest, NearestFn) and isinstance(pickle.loads(pickle.dumps(nearest)), NearestFn)
-    np.testing.assert_array_equal(nearest.goals, DOCKS)
+    for each in (nearest, pickle.loads(pickle.dumps(nearest))):
+        np.testing.assert_array_equal(each.cell_sources(DOMAIN).sources.points[:3], DOCKS)
+        assert each.reach(DOMAIN) is not None, "one room has no goal"
     for fns in ([*FNS, other], [FIRST, Euclidean((1, 1))]):
-        assert not isinstance(NearestGoal(fns), NearestFn)
+        nearest = NearestGoal(fns)
+        assert nearest.cell_sources is None and nearest.reach(DOMAIN) is None
+        assert construct(nearest, DOMAIN, max_leaves=2).num_leaves <= 2
+        with pytest.raises(ValueError, match=r"answers for whole cells.* got a NearestGoal"):
+            construct(nearest, DOMAIN, max_leaves=2, certified=True)

@@ -163,13 +163,6 @@ def test_single_points_equal_batches_bit_for_bit(seed):
     assert oracle(np.empty((0, 2))).shape == (0,)
 
 
-def test_directions_follow_the_shortest_path():
-    problem = scenes.thin_maze()
-    oracle, x = VisibilityGraph(problem.workspace, problem.goals[0]), problem.workspace.sample_free(60, 0)
-    legs = np.array([oracle.shortest_path(point)[1] for point in x]) - x
-    np.testing.assert_allclose(oracle.directions(x), legs / np.linalg.norm(legs, axis=1)[:, None], atol=1e-9)
-
-
 @pytest.mark.parametrize("thickness", [0.001, 0.04])
 @pytest.mark.parametrize("height", [1e-7, 5e-9, 1e-4])
 def test_goal_just_above_a_wall_sees_through_no_wall(thickness, height):

@@ -51,9 +51,7 @@ def test_cells_with_more_corners_than_bits_of_a_word(connectivity):
     graph = GridGraph(free, connectivity=connectivity)
     cells = np.argwhere(free)[:, ::-1].astype(float)
     rng = np.random.default_rng(0)
-    x, y = (
-        np.repeat(cells[rng.integers(len(cells), size=30)], 200, axis=0),
-        cells[rng.integers(len(cells), size=6_000)],
-    )
+    x = np.repeat(cells[rng.integers(len(cells), size=30)], 200, axis=0)
+    y = cells[rng.integers(len(cells), size=6_000)]
     assert np.diff(taut_corners(free, connectivity)[0]).max() > 32 * BLOCK
     np.testing.assert_allclose(construct_grid_pairs(graph)(x, y), graph.between(x, y), rtol=1e-6)

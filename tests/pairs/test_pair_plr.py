@@ -131,9 +131,8 @@ def test_prepared_goals_answer_as_points(maze):
 @pytest.mark.full
 def test_prepared_goals_have_gradients_in_points_under_jit_and_vmap(maze):
     x, y = (jnp.asarray(points, jnp.float32) for points in two_batches(MAZE, 60, seed=9))
-    distances, gradients = jax.jit(
-        jax.vmap(jax.value_and_grad(lambda x, pairs, y: pairs(x, pairs.prepared(y))), (0, None, 0))
-    )(x, maze, y)
+    ask = jax.value_and_grad(lambda x, pairs, y: pairs(x, pairs.prepared(y)))
+    distances, gradients = jax.jit(jax.vmap(ask, (0, None, 0)))(x, maze, y)
     np.testing.assert_allclose(distances, exact(MAZE, x, y), atol=1e-6)
     np.testing.assert_allclose(gradients, jax.jit(jax.vmap(jax.grad(maze)))(x, y), atol=1e-6)
 

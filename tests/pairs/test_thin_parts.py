@@ -19,11 +19,8 @@ ROOM = [box(2, 2, 4, 8), box(6, 2, 8, 8), box(2, 2, 8, 3), [(2, 8), (8, 8), (8, 
 
 def beside(a, b, away):
     """Points beside a wall, from one to nine tenths of its length."""
-    (ax, ay), (bx, by) = a, b
-    share, length = np.linspace(0.1, 0.9, 40), np.hypot(bx - ax, by - ay)
-    return np.stack(
-        [ax + share * (bx - ax) - away * (by - ay) / length, ay + share * (by - ay) + away * (bx - ax) / length], 1
-    )
+    dx, dy = np.subtract(b, a)
+    return a + np.linspace(0.1, 0.9, 40)[:, None] * (dx, dy) + away * np.array((-dy, dx)) / np.hypot(dx, dy)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,18 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planner_helpers import MIXED, TIGHT, TIGHT_TEAM, apart, hallway, joint_lattice_of, reachable, search_budget
+from planner_helpers import (
+    DOOR,
+    ROOMS,
+    TIGHT,
+    TIGHT_TEAM,
+    TRIO,
+    apart,
+    hallway,
+    joint_lattice_of,
+    reachable,
+    search_budget,
+)
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, bl_plan, scenes, validate
 from plr_jax.planners import BLOptions, Status, best_first, straight_line, zero
@@ -21,7 +32,6 @@ PAIR = Problem(
     [(1.5, 1.5, 1), (0.5, 0.5, 0)],
 )
 DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
-DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
 
 
 class Separable:
@@ -118,12 +128,12 @@ def test_children_of_one_robot_are_its_best_motions():
 @pytest.mark.parametrize("chunk", [300, 1 << 15])
 def test_scores_add_costs_and_weighted_terms(chunk, monkeypatch):
     monkeypatch.setattr(best_first, "_CHUNK", chunk)
-    joint, heuristic = joint_lattice_of(MIXED, 1.5), straight_line(MIXED)
+    joint, heuristic = joint_lattice_of(TRIO, 1.5), straight_line(TRIO)
     tables = tabulate(joint, heuristic)
     search = BestFirstSearch(joint, tables, 3.0, search_budget())
-    assert search.least_estimate == pytest.approx(3 * heuristic(MIXED.starts[None])[0], rel=1e-12)
+    assert search.least_estimate == pytest.approx(3 * heuristic(TRIO.starts[None])[0], rel=1e-12)
     for i, (lattice, table, score) in enumerate(zip(joint.lattices, tables, search.scores, strict=True)):
-        q = np.repeat(MIXED.starts[None], len(lattice.q), axis=0)
+        q = np.repeat(TRIO.starts[None], len(lattice.q), axis=0)
         q[:, i, : lattice.q.shape[1]] = lattice.q
         np.testing.assert_array_equal(table, heuristic.per_robot(q)[:, i])
         np.testing.assert_allclose(score, lattice.cost + 3 * table[lattice.child], rtol=1e-6)

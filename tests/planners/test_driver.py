@@ -25,7 +25,7 @@ LARGE = Workspace(((0, 0), (1000, 1000)))
     ],
 )
 def test_scenes_are_solved_near_the_shortest_ways(problem):
-    solution = planned(problem)
+    solution = planned(problem, None)
     assert solution.status is Status.SOLVED
     # The robots' own shortest ways bound the joint cost, except for the rounding of inflated corners.
     alone = float(exact(problem)(problem.starts[None])[0])
@@ -47,11 +47,11 @@ def test_full_ring_of_discs_rotates():
 def test_points_go_around_contact_at_cell_center():
     boxes = [[(0, 0), (1, 0), (1, 1), (0, 1)], [(1, 1), (2, 1), (2, 2), (1, 2)]]  # they touch at (1, 1)
     workspace, above, below = Workspace(((-1, -1), (3, 3)), boxes), (0.5, 1.5), (1.5, 0.5)
-    solution = planned(Problem(workspace, [PointRobot()], [above], [below]), step=0.8)
+    solution = planned(Problem(workspace, [PointRobot()], [above], [below]), None, step=0.8)
     assert 2 + np.sqrt(2) - 1e-9 <= solution.cost < 4.5  # around either box
     # A robot that ends at the contact may come from any side. Another robot must not go through it.
     team = Problem(workspace, [PointRobot()] * 3, [above, below, (1, 1)], [(1, 1), (1, 1), above])
-    assert planned(team, step=0.8).cost == pytest.approx(3 * np.sqrt(0.5))
+    assert planned(team, None, step=0.8).cost == pytest.approx(3 * np.sqrt(0.5))
 
 
 @pytest.mark.parametrize("slack", [0.0, 1e-9])
@@ -60,9 +60,9 @@ def test_discs_pass_in_a_stem_as_wide_as_they_are(slack):
     walls = [shapely.box(0, 1, 1, 2), shapely.box(2, 1, 3, 2)]
     ends = [(0.5, 0.5), (2.5, 0.5)]
     problem = Problem(Workspace(((0, 0), (3, 2)), walls), [DiscRobot(0.5 - slack)] * 2, ends, ends[::-1])
-    solution = planned(problem)
+    solution = planned(problem, None)
     assert solution.status is Status.SOLVED and solution.cost < 5.6 and solution.stats.num_expansions < 500
-    assert planned(problem, cost_factor=1.42).cost <= 1.42 * 4, "shortening alone meets the factor"
+    assert planned(problem, None, cost_factor=1.42).cost <= 1.42 * 4, "shortening alone meets the factor"
 
 
 CROWD = scenes.crowd(8, seed=3)
@@ -83,7 +83,7 @@ SOLVED = {
 
 @pytest.mark.parametrize(("problem", "options"), SOLVED.values(), ids=SOLVED)
 def test_problem_is_solved(problem, options):
-    planned(problem, **options)
+    planned(problem, **{"heuristic": None, **options})
 
 
 def test_step_fits_the_robots_that_replan():
@@ -168,7 +168,7 @@ def test_problem_without_path_is_exhausted(problem, step, num_nodes):
 
 
 def test_samples_are_free_and_statistics_add_up():
-    solution = planned(ROOMS, step=0.5)
+    solution = planned(ROOMS, exact(ROOMS), step=0.5)
     samples, stats = solution.samples, solution.stats
     assert len(samples) == stats.num_nodes
     np.testing.assert_array_equal(samples[0], ROOMS.starts)
@@ -200,9 +200,9 @@ def test_better_heuristics_need_fewer_nodes():
 
 
 def test_plans_repeat_whatever_is_planned_between():
-    options = {"cost_factor": 1.0, "max_expansions": 20}
+    options = {"heuristic": exact(ROOMS), "cost_factor": 1.0, "max_expansions": 20}
     first = planned(ROOMS, **options)
-    planned(DOOR, step=0.5)
+    planned(DOOR, exact(DOOR), step=0.5)
     again = planned(ROOMS, **options)
     np.testing.assert_array_equal(first.path, again.path)
     np.testing.assert_array_equal(first.samples, again.samples)
@@ -255,7 +255,7 @@ DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle
 @pytest.mark.full
 @pytest.mark.parametrize("name", DBCBS)
 def test_published_problems_are_solved_by_holonomic_robots(data_dir, name):
-    assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
+    assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml"), None).status is Status.SOLVED
 
 
 @pytest.mark.full

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planner_helpers import DOOR, ROOMS, exact, hallway, joint_lattice_of, nudged_discs, nudged_team, planned
-from team_helpers import MIXED
+from team_helpers import FIVE
 
 from plr_jax import Problem, RectangleRobot, Workspace, exact_lower_bound, scenes, validate
 from plr_jax.collision.motions import JointMotionTest
@@ -46,19 +46,19 @@ def test_expansions_never_exceed_their_limit(max_expansions):
 
 
 def test_planner_stops_at_cost_factor():
-    content = planned(ROOMS, cost_factor=1.5, searchers=("bl",))
+    content = planned(ROOMS, exact(ROOMS), cost_factor=1.5, searchers=("bl",))
     assert content.status is Status.SOLVED and content.cost <= 1.5 * content.lower_bound
-    assert content.stats.num_expansions == planned(ROOMS, searchers=("bl",)).stats.num_expansions > 0
-    content = planned(ROOMS, cost_factor=1.5)
+    assert content.stats.num_expansions == planned(ROOMS, exact(ROOMS), searchers=("bl",)).stats.num_expansions > 0
+    content = planned(ROOMS, exact(ROOMS), cost_factor=1.5)
     assert content.status is Status.SOLVED and content.stats.num_expansions == 0
 
 
 def test_planner_improves_its_path_until_limit():
     problem = scenes.cross(2)
-    first = planned(problem)
-    same = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions)
+    first = planned(problem, None)
+    same = planned(problem, None, cost_factor=1.0, max_expansions=first.stats.num_expansions)
     assert same.cost <= first.cost
-    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 120)
+    best = planned(problem, None, cost_factor=1.0, max_expansions=first.stats.num_expansions + 120)
     assert best.status is Status.EXPANSION_LIMIT and best.cost < first.cost
     assert best.stats.num_expansions > first.stats.num_expansions
 
@@ -76,7 +76,7 @@ def test_only_lower_bound_heuristics_prove_bounds():
     oracle = exact(DOOR)
     alone = float(oracle(DOOR.starts[None])[0])
     assert oracle.is_lower_bound and not sum_of_distances([lambda x: np.zeros(len(x))]).is_lower_bound
-    solution = planned(DOOR)
+    solution = planned(DOOR, oracle)
     assert solution.lower_bound == pytest.approx(alone) and solution.lower_bound <= alone
     assert 1 <= solution.factor < 1.02 and 1 <= solution.motions_factor < 1.2
     unknown = bl_plan(DOOR, replace(oracle, per_robot=lambda q: 1e3 + oracle.per_robot(q), is_lower_bound=False))
@@ -104,10 +104,10 @@ def interrupt_at(monkeypatch, owner, name, at):
 
 
 def test_interrupted_planner_returns_best_path(monkeypatch):
-    first = planned(DOOR, step=0.5, searchers=("bl",))
+    first = planned(DOOR, exact(DOOR), step=0.5, searchers=("bl",))
     with monkeypatch.context() as patched:
         interrupt_at(patched, driver.BestFirstSearch, "_add_child", 2 * first.stats.num_nodes)
-        solution = planned(DOOR, step=0.5, cost_factor=1.0, searchers=("bl",))
+        solution = planned(DOOR, exact(DOOR), step=0.5, cost_factor=1.0, searchers=("bl",))
     assert solution.status is Status.INTERRUPTED
     assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
     assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
@@ -123,10 +123,10 @@ def test_interrupted_planner_returns_best_path(monkeypatch):
 def test_interrupted_sequential_path_gets_early_departures(monkeypatch):
     problem = scenes.four_rooms(3)
     interrupt_at(monkeypatch, driver, "first_step", 1)
-    solution = planned(problem)
+    solution = planned(problem, None)
     assert solution.status is Status.INTERRUPTED and solution.makespan < 0.8 * solution.cost
     interrupt_at(monkeypatch, driver, "with_early_departures", 1)
-    solution = planned(problem)
+    solution = planned(problem, None)
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
 
@@ -160,7 +160,7 @@ def test_path_at_time_limit_is_valid(limit):
 
 
 # No other test uses these steps: motions are cached per workspace and step.
-LATTICES = [(nudged_discs(4), 0.21), (nudged_discs(7), 1.9), (NUDGED_BARS, 0.51), (MIXED, 0.9)]
+LATTICES = [(nudged_discs(4), 0.21), (nudged_discs(7), 1.9), (NUDGED_BARS, 0.51), (FIVE, 0.9)]
 
 
 @pytest.mark.parametrize(("problem", "step"), LATTICES, ids=["fine", "coarse", "bars", "mixed"])

@@ -8,7 +8,7 @@ import pytest
 import shapely
 from planner_helpers import ROOM, graph_of, joint_lattice_of, nudged_discs, nudged_team
 from robot_helpers import along, shapes
-from team_helpers import MIXED
+from team_helpers import FIVE
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.planners import lattice as module
@@ -232,7 +232,7 @@ def test_motions_at_starts_and_goals_follow_definition(name, step):
 # Teams
 
 
-@pytest.mark.parametrize(("problem", "step"), [(MIXED, 1.2), (NUDGED["bars"], 1.5)], ids=["mixed", "bars"])
+@pytest.mark.parametrize(("problem", "step"), [(FIVE, 1.2), (NUDGED["bars"], 1.5)], ids=["mixed", "bars"])
 def test_costs_to_go_equal_networkx(problem, step):
     joint = joint_lattice_of(problem, step)
     for kind in joint.kinds:
@@ -279,8 +279,8 @@ def test_equal_robots_share_a_kind():
 
 def test_costs_to_come_mirror_costs_to_go():
     # Motions cost the same in both directions, so that swapped ends have the same costs, backward.
-    back = Problem(MIXED.workspace, MIXED.robots, MIXED.goals, MIXED.starts)
-    for kind, mirrored in zip(joint_lattice_of(MIXED, 0.8).kinds, joint_lattice_of(back, 0.8).kinds, strict=True):
+    back = Problem(FIVE.workspace, FIVE.robots, FIVE.goals, FIVE.starts)
+    for kind, mirrored in zip(joint_lattice_of(FIVE, 0.8).kinds, joint_lattice_of(back, 0.8).kinds, strict=True):
         rows, cells = np.arange(len(kind.members)), slice(num_cells(kind))
         come, go = np.stack([kind.costs_to_come(row)[cells] for row in rows]), mirrored.costs_to_go(rows)[:, cells]
         np.testing.assert_allclose(come, go, rtol=1e-9)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import MIXED, ROOM
+from planner_helpers import ROOM, TRIO
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax._problem import motion_costs
@@ -15,12 +15,8 @@ HALLS = Workspace(((0, 0), (10, 6)), [shapely.box(4, 1, 6, 2.5), shapely.box(4, 
 
 
 def at_time(problem, solution, at, goals=None, workspace=None):
-    return Problem(
-        workspace or problem.workspace,
-        problem.robots,
-        solution.path_at(at),
-        problem.goals if goals is None else goals,
-    )
+    goals = problem.goals if goals is None else goals
+    return Problem(workspace or problem.workspace, problem.robots, solution.path_at(at), goals)
 
 
 def assert_solves(problem, solution):
@@ -28,7 +24,7 @@ def assert_solves(problem, solution):
     assert solution.cost == pytest.approx(validate(problem, solution.path).cost)
 
 
-@pytest.mark.parametrize("problem", [scenes.crowd(4), MIXED], ids=["crowd", "mixed"])
+@pytest.mark.parametrize("problem", [scenes.crowd(4), TRIO], ids=["crowd", "mixed"])
 def test_unchanged_problem_keeps_rest_of_path(problem):
     solution = bl_plan(problem)
     at = 0.37 * solution.makespan
@@ -42,7 +38,7 @@ def test_unchanged_problem_keeps_rest_of_path(problem):
     assert done.cost == 0 and done.makespan == 0
 
 
-@pytest.mark.parametrize(("problem", "goal"), [(MIXED, (7, 4)), (scenes.four_rooms(4), (4.28, 5.21))])
+@pytest.mark.parametrize(("problem", "goal"), [(TRIO, (7, 4)), (scenes.four_rooms(4), (4.28, 5.21))])
 def test_new_goal_of_one_robot_keeps_other_paths(problem, goal):
     solution, goals = bl_plan(problem), problem.goals.copy()
     goals[0, :2] = goal
@@ -51,7 +47,7 @@ def test_new_goal_of_one_robot_keeps_other_paths(problem, goal):
     found, rest = replan(now, solution, at), replan(at_time(problem, solution, at), solution, at)
     assert_solves(now, found)
     assert found.stats.found_by == "replan"
-    if problem is MIXED:  # no other robot has to make way
+    if problem is TRIO:  # no other robot has to make way
         costs = [motion_costs(now, each.path[:-1], each.path[1:]).sum(axis=0) for each in (found, rest)]
         assert costs[0][1:] == pytest.approx(costs[1][1:]) and costs[0][0] != pytest.approx(costs[1][0])
 
@@ -178,7 +174,7 @@ def assert_served(problem, run, num_goals):
     ("problem", "num_goals"),
     [
         pytest.param(scenes.crowd(4), 4, id="crowd-4"),
-        pytest.param(MIXED, 3, id="mixed"),
+        pytest.param(TRIO, 3, id="mixed"),
         pytest.param(scenes.crowd(8), 24, id="crowd-8", marks=pytest.mark.full),
     ],
 )

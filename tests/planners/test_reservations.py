@@ -101,11 +101,10 @@ def test_every_table_is_a_valid_path_of_its_cost(name):
         gained = reservations.replan_together(table, rng.permutation(min(len(table.cost), 4)).tolist())
         assert gained == (table.cost.sum() < before * (1 - 1e-9))
 
-    for change in (
-        reservations.replan_each,
-        *[together] * 3,
-        lambda table: reservations.replan_neighborhoods(table, 8, rng),
-    ):
+    def neighborhoods(table):
+        reservations.replan_neighborhoods(table, 8, rng)
+
+    for change in (reservations.replan_each, *[together] * 3, neighborhoods):
         change(table)
         costs.append(table.cost.sum())
         report = validate(joint.problem, joint.configurations(table.state))

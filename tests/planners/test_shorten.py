@@ -5,7 +5,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import MIXED, ROOM, exact, joint_lattice_of, search_budget
+from planner_helpers import ROOM, TRIO, exact, joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
@@ -59,7 +59,7 @@ def straight_cost(problem):
     return pytest.approx(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
-@pytest.mark.parametrize(("problem", "step"), [(scenes.four_rooms(2), 0.5), (scenes.cross(2), 0.4), (MIXED, 0.8)])
+@pytest.mark.parametrize(("problem", "step"), [(scenes.four_rooms(2), 0.5), (scenes.cross(2), 0.4), (TRIO, 0.8)])
 def test_search_paths_become_cheaper(problem, step):
     joint = joint_lattice_of(problem, step)
     search = BestFirstSearch(joint, tabulate(joint, exact(problem)), 2.0, search_budget())
@@ -81,7 +81,7 @@ def test_late_or_short_paths_stay_unchanged(shortened):
         np.testing.assert_array_equal(shortened(problem, path), path)
 
 
-@pytest.mark.parametrize("problem", [ALONE, BAR, MIXED], ids=["disc", "bar", "mixed"])
+@pytest.mark.parametrize("problem", [ALONE, BAR, TRIO], ids=["disc", "bar", "mixed"])
 @pytest.mark.parametrize("steps", [3, 10, 25])
 def test_zigzag_becomes_straight(problem, steps):
     path = zigzag(problem, steps, 0.7)
@@ -117,9 +117,9 @@ def test_robots_keep_crossing_one_after_the_other():
 
 
 def test_shortening_one_robot_keeps_other_motions():
-    path = straight(MIXED, 13)
+    path = straight(TRIO, 13)
     path[1:-1:2, 0, 1] += 0.8  # the disc alone goes to and fro
-    short = over_shortcuts(MIXED, path)
+    short = over_shortcuts(TRIO, path)
     np.testing.assert_allclose(short[:, 1:], path[:, 1:], atol=1e-12)
     assert np.ptp(short[:, 0, 1]) < 1e-12
 

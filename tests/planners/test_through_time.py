@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import MIXED, ROOM
+from planner_helpers import ROOM, TRIO
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax.collision.motions import motions_apart
@@ -20,13 +20,13 @@ def straight(problem, num_rows):
     return between(problem.starts[None], problem.goals[None], share[..., None])
 
 
-def planned(timetable, i):
+def plan_of(timetable, i):
     motion, arrives = plan_through_time(timetable, i, ROWS_PER_STEP * LENGTH, 10_000)
     assert motion is not None
     return motion, arrives
 
 
-@pytest.mark.parametrize("problem", [MIXED, scenes.crowd(6)], ids=["mixed", "crowd"])
+@pytest.mark.parametrize("problem", [TRIO, scenes.crowd(6)], ids=["mixed", "crowd"])
 def test_motions_fit_where_robots_are_apart(problem):
     path, rng = straight(problem, 40), np.random.default_rng(1)
     timetable, others = Timetable(problem, path), problem.robots[:-1]
@@ -63,7 +63,7 @@ def test_place_is_free_after_last_robot_passed():
 
 def test_lone_robot_goes_straight_at_unit_speed():
     problem = Problem(ROOM, [DiscRobot(0.4)], [(1.03, 1.1)], [(8.7, 5.2)])
-    motion, arrives = planned(Timetable(problem, problem.starts[None]), 0)
+    motion, arrives = plan_of(Timetable(problem, problem.starts[None]), 0)
     assert arrives and len(motion) - 1 == np.ceil(np.hypot(7.67, 4.1) / LENGTH)
     np.testing.assert_array_equal(motion[[0, -1]], [problem.starts[0], problem.goals[0]])
     np.testing.assert_allclose(np.diff(np.diff(motion, axis=0), axis=0), 0, atol=1e-12)
@@ -71,35 +71,31 @@ def test_lone_robot_goes_straight_at_unit_speed():
 
 def test_waiting_robot_goes_when_lane_is_free():
     """A hallway of one lane, with a bay: the first robot has it to itself until it is through."""
-    walls = [shapely.box(0, 1, 4, 3), shapely.box(5, 1, 10, 3)]
-    problem = Problem(
-        Workspace(((0, 0), (10, 3)), walls), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (4.5, 2.4)], [(9.5, 0.5), (0.5, 0.5)]
-    )
+    hallway = Workspace(((0, 0), (10, 3)), [shapely.box(0, 1, 4, 3), shapely.box(5, 1, 10, 3)])
+    problem = Problem(hallway, [DiscRobot(0.4)] * 2, [(0.5, 0.5), (4.5, 2.4)], [(9.5, 0.5), (0.5, 0.5)])
     first = between(problem.starts[:1], problem.goals[:1], np.linspace(0, 1, 61)[:, None])
     timetable = Timetable(problem, np.stack([first, np.repeat(problem.starts[1:], 61, axis=0)], axis=1))
-    motion, arrives = planned(timetable, 1)
+    motion, arrives = plan_of(timetable, 1)
     timetable.move(1, motion)
     assert arrives and validate(problem, timetable.path).valid
     # The robot may leave before the first one has passed the bay, but enters the hallway after it.
-    alone, _ = planned(Timetable(problem, problem.starts[None], patience=0), 1)
+    alone, _ = plan_of(Timetable(problem, problem.starts[None], patience=0), 1)
     assert len(alone) < len(motion) < 27 + len(alone)
 
 
 def test_blocked_robot_goes_as_near_as_possible():
-    walls = [shapely.box(0, 1, 10, 3)]
-    problem = Problem(
-        Workspace(((0, 0), (10, 3)), walls), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (5, 0.5)], [(9.5, 0.5), (6, 0.5)]
-    )
+    hallway = Workspace(((0, 0), (10, 3)), [shapely.box(0, 1, 10, 3)])
+    problem = Problem(hallway, [DiscRobot(0.4)] * 2, [(0.5, 0.5), (5, 0.5)], [(9.5, 0.5), (6, 0.5)])
     timetable = Timetable(problem, problem.starts[None])
-    motion, arrives = planned(timetable, 0)
+    motion, arrives = plan_of(timetable, 0)
     assert not arrives and 3.6 < motion[-1, 0] <= 4.2
     timetable.ignored.add(1)
-    assert planned(timetable, 0)[1]
+    assert plan_of(timetable, 0)[1]
 
 
 def test_subdivided_path_keeps_rows_and_limits_lengths():
-    path = straight(MIXED, 7)
-    finer = subdivided(MIXED, path, LENGTH)
+    path = straight(TRIO, 7)
+    finer = subdivided(TRIO, path, LENGTH)
     costs = np.hypot(*np.moveaxis(np.diff(finer[..., :2], axis=0), 2, 0))
     assert (costs <= LENGTH * (1 + 1e-9)).all()
     rows = np.flatnonzero((finer[:, None] == path[None]).all(axis=(2, 3)).any(axis=1))

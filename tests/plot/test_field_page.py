@@ -6,7 +6,8 @@ from base64 import b64encode
 import numpy as np
 import pytest
 from hostile_files import hostile
-from hostile_readers import READERS, Reader, corridor
+from hostile_readers import READERS, Reader
+from pair_helpers import serpentine
 from PIL import Image
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
@@ -185,7 +186,7 @@ def test_damaged_files_leave_shown_function(functions, browser, tmp_path):
     reader = Reader(lambda path: None, ".plr", lambda: valid, READERS["PLR"].repaired)
     opened(browser, page_of(functions["cones"]), tmp_path)
     shown = 0
-    files = [b"", b"no PLR", corridor(8192), *(hostile(reader, valid, 0, number) for number in range(200))]
+    files = [b"", b"no PLR", serpentine(8192).to_bytes(), *(hostile(reader, valid, 0, n) for n in range(200))]
     for file in files:
         browser.run(f'take(bytesOf("{b64encode(file).decode()}"), "a.plr")')  # which raises if it hangs
         is_shown, says = browser.run("[byId('error').hidden, byId('error').textContent]")

@@ -3,6 +3,7 @@
 import struct
 import tracemalloc
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,11 +39,8 @@ def walled(x):
     goal, left, right = np.array([0.1, 0.1]), np.array([0.4, 0.7]), np.array([0.5, 0.7])
     from_left = np.linalg.norm(left - goal)
     sees_goal = (x[:, 0] <= 0.4) | (x[:, 1] - 0.1 >= 2 * (x[:, 0] - 0.1))
-    value = np.where(
-        x[:, 1] >= 0.7,
-        np.linalg.norm(x - left, axis=1) + from_left,
-        np.linalg.norm(x - right, axis=1) + 0.1 + from_left,
-    )
+    over, behind = np.linalg.norm(x - left, axis=1), np.linalg.norm(x - right, axis=1) + 0.1
+    value = np.where(x[:, 1] >= 0.7, over, behind) + from_left
     value = np.where(sees_goal, np.linalg.norm(x - goal, axis=1), value)
     in_wall = (x[:, 0] > 0.4) & (x[:, 0] < 0.5) & (x[:, 1] < 0.7)
     return np.where(in_wall, np.inf, value)
@@ -112,10 +110,10 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
         center = np.where(unreachable, np.inf, rng.normal(size=len(cells)))
         stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
     elif leaf == "cone":
-        sources = Sources(rng.normal(size=(5, dim)), rng.random(5), np.arange(5))
-        stored = ConeFiles(sources, Box(np.full(dim, -5.0), np.full(dim, 5.0))).stored(
-            rng.integers(5, size=len(cells))
-        )
+        goals = Sources(rng.normal(size=(5, dim)), np.zeros(5), np.arange(5))
+        stored = ConeFiles(goals, Box([-5.0] * dim, [5.0] * dim)).stored(rng.integers(5, size=len(cells)))
+        offset = np.float32(rng.random(len(stored.sources.code))).astype(float)
+        stored = replace(stored, sources=replace(stored.sources, root_offset=offset))
     else:
         faces = shared_faces(tree, periodic)
         partition = TiedPartition(tree, unreachable, faces, rng.random(len(faces)) < 0.8)

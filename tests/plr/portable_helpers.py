@@ -196,7 +196,5 @@ def _wrapped(x, a, b, scale, tolerance):
 
 def _outward(lo, hi):
     down, up = lo.astype(np.float32), hi.astype(np.float32)
-    return (
-        np.where(down > lo, np.nextafter(down, np.float32(-np.inf)), down),
-        np.where(up < hi, np.nextafter(up, np.float32(np.inf)), up),
-    )
+    down = np.where(down > lo, np.nextafter(down, np.float32(-np.inf)), down)
+    return down, np.where(up < hi, np.nextafter(up, np.float32(np.inf)), up)

@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plr_jax.plr.bound_classes import classify_bounds, read_classes, write_classes
-from plr_jax.plr.certificate import (
-    Certificate,
-    LeafBounds,
-    Proof,
-    StraightBound,
-    read_proof,
-    write_proof,
-)
+from plr_jax.plr.certificate import Certificate, LeafBounds, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter
 
 # Certificates in files.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from piece_helpers import WORKSPACES, box, fan_workspace, general_workspace, lattice_workspace
+from piece_helpers import TEN, WORKSPACES, box, fan_workspace, general_workspace, lattice_workspace
 from plr_helpers import UNIT, cone
 
 from plr_jax.geometry.box import Box
@@ -57,9 +57,6 @@ def test_cells_below_a_very_thin_wall_keep_the_corner_of_their_paths():
     for axis in (0, 1, 0, 1, 0, 1, 0, 1):
         check_cell_distances(oracle, UNIT, cache, cells, rng.uniform(-1, 1, (20, 2)))
         cells = cells.split(np.full(len(cells), axis))
-
-
-TEN = ((0, 0), (10, 10))
 
 
 def critical_points(plr, oracle, n, seed=0):
@@ -123,11 +120,8 @@ def test_bounds_contain_exact_distances_and_are_tight(certified, maze):
     plr = certify(from_bytes(certified.to_bytes()), maze)
     assert check_bounds(plr, maze) > 0.95 * plr.max_error
     x = maze.workspace.sample_free(5000, 0)
-    leaf, error, (least, most) = (
-        certified.numpy().leaf(x),
-        maze(x) - certified(x),
-        np.zeros((2, certified.num_leaves)),
-    )
+    leaf, error = certified.numpy().leaf(x), maze(x) - certified(x)
+    least, most = np.zeros((2, certified.num_leaves))
     np.minimum.at(least, leaf, error)
     np.maximum.at(most, leaf, error)
     assert np.ptp(certified.bounds(x), axis=0).mean() < 1.7 * (most - least)[leaf].mean()

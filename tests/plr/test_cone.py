@@ -15,6 +15,7 @@ from plr_helpers import UNIT, leaf_by_search, points
 from portable_helpers import case
 
 from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace, from_bytes, scenes
+from plr_jax._types import Sources
 from plr_jax.plr import construct
 from plr_jax.plr._file import body_of_leaves
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -181,7 +182,7 @@ LATTICES = {"integers": 1.0, "hundredths": 0.01, "quarters": 0.25, "thirds": 1 /
 
 
 def random_sources(rng, dim, count, lattice):
-    """Return sources, their distances along a tree, and their parents; some of the first are roots."""
+    """Return sources, some of the first of which are goals, with distances along a tree."""
     step = LATTICES[lattice]
     points = np.unique(rng.integers(-300, 300, (count, dim)), axis=0).astype(float)
     points = points * step if step else points + rng.random(points.shape)
@@ -189,14 +190,14 @@ def random_sources(rng, dim, count, lattice):
     count = len(points)
     parents = np.array([rng.integers(max(i, 1)) for i in range(count)])
     parents[: 1 + count // 10] = np.arange(1 + count // 10)
-    return points, distances_along(points, parents, rng.integers(9, size=count) / 8), parents
+    return sources_along(points, parents)
 
 
-def distances_along(points, parents, of_roots):
-    distances = of_roots + np.linalg.norm(points - points[parents], axis=1)
+def sources_along(points, parents):
+    distances = np.linalg.norm(points - points[parents], axis=1)
     for i in np.flatnonzero(parents < np.arange(len(points))):
-        distances[i] += distances[parents[i]] - of_roots[i]
-    return distances
+        distances[i] += distances[parents[i]]
+    return Sources(points, distances, parents)
 
 
 def bits_of(domain, cones):
@@ -209,9 +210,15 @@ def bits_of(domain, cones):
 @given(st.integers(0, 100_000), st.integers(1, 5), st.sampled_from([1, 2, 17, 60]))
 def test_sources_are_read_as_written(lattice, seed, dim, count):
     rng = np.random.default_rng(seed)
-    points, distances, parents = random_sources(rng, dim, count, lattice)
+    sources = random_sources(rng, dim, count, lattice)
+    points, distances = sources.points, sources.distances
     domain = Box(points.min(axis=0) - rng.random(dim), points.max(axis=0) + 10 * rng.random(dim) + 0.1)
-    stored, index = store_sources(points, distances, parents, domain)
+    stored, index = store_sources(sources, domain)
+    width = domain.width.max()
+    rounding = 1e-13 * (1 + np.abs(points).max()) if LATTICES[lattice] else 2.0**-25 * width
+    far = (1 + np.arange(len(points))) * 2 * rounding * np.sqrt(dim) + 1e-12 * (1 + distances)
+    assert (np.abs(stored.offsets[index] - distances) <= far).all()
+    stored = replace(stored, root_offset=stored.is_root * rng.integers(9, size=len(points)) / 8)
     source = index[rng.integers(len(points), size=int(rng.integers(1, 80)))]
     body = bits_of(domain, StoredCones(stored, source))
     reader = BitReader(body.to_bytes())
@@ -220,24 +227,21 @@ def test_sources_are_read_as_written(lattice, seed, dim, count):
     np.testing.assert_array_equal(found.source, source)
     for name in ("code", "parent", "root_offset", "points", "offsets"):
         np.testing.assert_array_equal(getattr(found.sources, name), getattr(stored, name))
-    width = domain.width.max()
-    rounding = 1e-13 * (1 + np.abs(points).max()) if LATTICES[lattice] else 2.0**-25 * width
     assert np.abs(found.sources.points[index] - points).max() <= rounding
     assert len(np.unique(index)) == len(points)
-    np.testing.assert_array_equal(found.sources.parent[index], index[parents])
-    far = (1 + np.arange(len(points))) * 2 * rounding * np.sqrt(dim) + 1e-12 * (1 + distances)
-    assert (np.abs(found.sources.offsets[index] - distances) <= far).all()
+    np.testing.assert_array_equal(found.sources.parent[index], index[sources.parents])
 
 
 def test_equal_sources_are_stored_once():
-    points = np.array([[0.0, 0], [1, 1], [1, 1 + 1e-15], [0, 0]])
-    distances = np.array([0, 2**0.5, 2**0.5, 0])
-    stored, index = store_sources(points, distances, np.array([0, 0, 0, 3]), Box((0, 0), (2, 2)))
-    assert index.tolist() == [0, 1, 1, 0]
+    points = np.array([[0.0, 0], [0, 0], [1, 1], [1, 1 + 1e-15]])
+    distances, domain = np.array([0, 0, 2**0.5, 2**0.5]), Box((0, 0), (2, 2))
+    sources = Sources(points, distances, np.array([0, 1, 0, 0]), np.array([5, 5]))
+    stored, index = store_sources(sources, domain)
+    assert index.tolist() == [0, 0, 1, 1] and stored.goals.tolist() == [5]
     assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
     # Source 1 and its parent, source 2, are stored as one source, whose parent is source 0.
-    stored, index = store_sources(points[:3], distances[:3], np.array([0, 2, 0]), Box((0, 0), (2, 2)))
+    stored, index = store_sources(Sources(points[1:], distances[1:], np.array([0, 2, 0])), domain)
     assert index.tolist() == [0, 1, 1] and stored.parent.tolist() == [0, 0]
 
 
@@ -291,19 +295,30 @@ def test_invalid_stored_sources_raise(data, message):
 )
 def test_sources_too_large_for_floats_raise(x, distance, message):
     with pytest.raises(ValueError, match=message):
-        store_sources(np.array([[x, 0.0]]), np.array([distance]), np.zeros(1, int), Box((0, 0), (8 + 2 * x, 8)))
+        sources = Sources(np.array([[x, 0.0], [x, 0]]), np.array([0.0, distance]), np.zeros(2, int))
+        store_sources(sources, Box((0, 0), (8 + 2 * x, 8)))
+
+
+@pytest.mark.parametrize(
+    ("distances", "parents", "goals"),
+    [([2, 0], [0, 1], None), ([0, 0], [0, 1], [7]), ([1, 0], [1, 1], [7]), ([0, 0, 0], [0, 0, 2], [7, 8])],
+)
+def test_sources_that_are_their_own_parents_are_goals(distances, parents, goals):
+    columns = np.array(distances, float), np.array(parents), None if goals is None else np.array(goals)
+    with pytest.raises(ValueError, match="own parents must be goals"):
+        Sources(np.zeros((len(parents), 2)), *columns)
 
 
 @pytest.mark.parametrize("width", [2.0**26, 1e17])
 def test_sources_of_wide_domains_are_read_as_written(width):
-    points, parents = width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]]), np.array([0, 0, 1])
-    distances, domain = distances_along(points, parents, np.zeros(3)), Box([0, 0], [width, width])
-    stored, index = store_sources(points, distances, parents, domain)
+    sources = sources_along(width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]]), np.array([0, 0, 1]))
+    domain = Box([0, 0], [width, width])
+    stored, index = store_sources(sources, domain)
     cones = StoredCones(stored, index[[2, 0, 1, 1]])
     found = read_cones(BitReader(bits_of(domain, cones).to_bytes()), domain, 4)
     np.testing.assert_array_equal(found.source, cones.source)
-    np.testing.assert_allclose(found.sources.points[index], points, atol=2.0**-25 * width)
-    np.testing.assert_allclose(found.sources.offsets[index], distances, rtol=1e-6)
+    np.testing.assert_allclose(found.sources.points[index], sources.points, atol=2.0**-25 * width)
+    np.testing.assert_allclose(found.sources.offsets[index], sources.distances, rtol=1e-6)
 
 
 # Cones of a family of goals.

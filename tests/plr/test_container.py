@@ -127,9 +127,7 @@ def test_invalid_trees_raise(data, dim, message):
 
 DOUBLES = st.floats(allow_nan=False, allow_infinity=False)
 DECIMALS = st.builds(lambda digits, places: digits / 10**places, st.integers(-(10**7), 10**7), st.integers(0, 6))
-PAIRS_OF_ENDS = st.one_of(
-    *(st.lists(numbers, min_size=2, max_size=2, unique=True).map(sorted) for numbers in (DOUBLES, DECIMALS))
-)
+ENDS = st.one_of(*(st.lists(each, min_size=2, max_size=2, unique=True).map(sorted) for each in (DOUBLES, DECIMALS)))
 
 
 @given(st.lists(st.integers(0, 2**70 - 1)), st.lists(st.integers(-(2**69), 2**69 - 1)), st.binary(max_size=3))
@@ -148,7 +146,7 @@ def test_variable_length_integers_are_read_as_written(numbers, signed, rest):
 def domains(draw):
     """Draw the arguments of a box: any numbers, many with few decimals, some axes periodic."""
     dim = draw(st.integers(1, 20))
-    corners = np.array([draw(PAIRS_OF_ENDS) for _ in range(dim)], np.float64)
+    corners = np.array([draw(ENDS) for _ in range(dim)], np.float64)
     assume((corners[:, 0] < corners[:, 1]).all())
     return *corners.T, draw(st.lists(st.booleans(), min_size=dim, max_size=dim))
 

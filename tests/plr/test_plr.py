@@ -49,17 +49,10 @@ def test_few_points_outside_of_jit_compile_nothing():
     plr, before = case("maze of cones"), [program._cache_size() for program in PROGRAMS]
     x = hard_points(plr, 100, seed=3)
     x[np.abs(x) < 1e-30] = 0  # compiled code takes smaller products for 0
-    near = [
-        plr(x),
-        plr(jnp.asarray(x)),
-        plr(x, outside="clamp"),
-        plr(x.astype(float)),
-        *plr.bounds(x),
-        plr.waypoint(x),
-    ]
+    y = [plr(x), plr(jnp.asarray(x)), plr(x, outside="clamp"), plr(x.astype(float)), *plr.bounds(x), plr.waypoint(x)]
     assert before == [program._cache_size() for program in PROGRAMS]
-    assert all(isinstance(answer, jax.Array) and not answer.committed for answer in near)
-    for answer, outside in ((near[0], "inf"), (near[1], "inf"), (near[2], "clamp")):
+    assert all(isinstance(answer, jax.Array) and not answer.committed for answer in y)
+    for answer, outside in ((y[0], "inf"), (y[1], "inf"), (y[2], "clamp")):
         assert same_bits(answer, compiled_answers(plr, x, outside))
 
 

@@ -75,9 +75,7 @@ def test_paths_in_mazes_are_shortest_and_cross_no_wall(scene):
     lengths = shapely.length(shapely.linestrings(traces.paths))
     np.testing.assert_allclose(traces.lengths, lengths, rtol=1e-12)
     core = shapely.union_all(workspace.obstacles).buffer(-1e-6, join_style="mitre")
-    crosses, crosses_untested = (
-        shapely.intersects(core, shapely.linestrings(each.paths)) for each in (traces, untested)
-    )
+    crosses, crosses_untested = (shapely.intersects(core, shapely.linestrings(t.paths)) for t in (traces, untested))
     assert not crosses.any() and crosses_untested.mean() < 1e-3
     ratio = lengths / exact(starts)
     assert ratio.min() > 1 - 1e-9 and ratio.mean() < 1.00001 and ratio.max() < 1.001

@@ -222,12 +222,7 @@ HOLE = [[1, 1], [1, 2], [2, 2], [2, 1]]
 
 def test_polygons_of_every_form_are_free_space(tmp_path):
     walls = {"outer": RING, "holes": [HOLE]}
-    forms = [
-        {"components": [walls], "source": "ignored"},
-        walls,
-        {"boundary": RING, "holes": [HOLE]},
-        {"outer": RING},
-    ]
+    forms = [{"components": [walls], "source": "none"}, walls, {"boundary": RING, "holes": [HOLE]}, {"outer": RING}]
     for data in forms:
         (tmp_path / "map.json").write_text(json.dumps(data))
         workspace = scenes.read_polygons(tmp_path / "map.json")

@@ -34,10 +34,7 @@ def test_broken_list_raises(tmp_path):
         ("voxel 2 -2 2\n", "expected a list of voxels"),
         ("voxel 2 2.0 2\n", "expected a list of voxels"),
         ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
-        (
-            "voxel 500 500 500\n0 0 0\n",
-            "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500",
-        ),
+        ("voxel 500 500 500\n0 0 0\n", "one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500"),
         ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
         ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
         ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),

@@ -59,9 +59,7 @@ def test_bounds_of_small_boxes_equal_their_extremes(shape):
     # The interpolation has its extremes on lines through centers of cells, or on the box's sides.
     for i in range(len(lo)):
         centers = (cost.domain.lo[a] + pixel[a] * (np.arange(shape[::-1][a]) + 0.5) for a in range(cost.dim))
-        lines = [
-            np.unique(np.clip([lo[i, a], *each, hi[i, a]], lo[i, a], hi[i, a])) for a, each in enumerate(centers)
-        ]
+        lines = [np.unique(np.clip([lo[i, a], *c, hi[i, a]], lo[i, a], hi[i, a])) for a, c in enumerate(centers)]
         values = cost(np.array(list(product(*lines))))
         if (hi[i] - lo[i] <= 2 * pixel).all():
             np.testing.assert_allclose([lower[i], upper[i]], [values.min(), values.max()], rtol=1e-9)
@@ -213,13 +211,12 @@ def test_inflation_equals_nav2(unknown_is_free):
     costs = rng.choice([0, 40, 252, 253, 254, 255], (17, 23), p=[0.6, 0.1, 0.05, 0.1, 0.05, 0.1])
     bounds, radii = ((-1.0, 2.0), (-1 + 23 / 4, 2 + 17 / 4)), (0.3, 0.6)  # 0.6 is 2.4 cells: 3 in Nav2
     options = {"unknown_is_free": unknown_is_free, "interpolation": "nearest", "cost_travel_multiplier": 3.0}
-    cost = RasterCost.from_costmap(costs, bounds, **options).inflated(
-        radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0, cost_travel_multiplier=3.0
-    )
+    inflation = {"inflation_radius": radii[1], "cost_scaling_factor": 2.0, "cost_travel_multiplier": 3.0}
+    cost = RasterCost.from_costmap(costs, bounds, **options).inflated(radii[0], **inflation)
     expected = RasterCost.from_costmap(nav2_inflated(costs, 0.25, *radii, 2.0), bounds, **options)
     np.testing.assert_allclose(cost.values, expected.values)
     assert cost.interpolation == "nearest" and 0 < cost.free.sum() < (costs < 253).sum()
-    again = cost.inflated(radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0, cost_travel_multiplier=3.0)
+    again = cost.inflated(radii[0], **inflation)
     np.testing.assert_array_equal(again.values, cost.values)  # cells that inflation blocked are not inflated again
 
 

@@ -62,14 +62,6 @@ def test_no_path_passes_edges_where_voxels_touch():
     assert space.are_free(*ends).tolist() == [False, True, True]
 
 
-def test_no_path_passes_corners_where_voxels_touch():
-    free = np.zeros((2, 2, 2), bool)
-    free[0, 0, 0] = free[1, 1, 1] = True
-    assert not VoxelSpace(free).are_free([[0.5, 0.5, 0.5]], [[1.5, 1.5, 1.5]])[0]
-    free[0, 0, 1] = free[0, 1, 1] = True
-    assert VoxelSpace(free).are_free([[0.5, 0.5, 0.5]], [[1.5, 1.5, 1.5]])[0]
-
-
 def test_balls_touch_walls_of_tight_passages():
     free = np.ones((4, 3, 3), bool)
     free[1:3, 0] = free[1:3, 2] = False

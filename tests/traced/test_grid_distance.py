@@ -42,11 +42,8 @@ def test_tracing_promotes_no_ranks_and_types_and_keeps_64_bits(moves):
         return field.cells, field(x), pairs(x, jnp.broadcast_to(goal, x.shape))
 
     for dtype in (np.float32, np.float64):
-        with (
-            jax.enable_x64(dtype == np.float64),
-            jax.numpy_rank_promotion("raise"),
-            jax.numpy_dtype_promotion("strict"),
-        ):
+        strict = jax.numpy_dtype_promotion("strict")
+        with jax.enable_x64(dtype == np.float64), jax.numpy_rank_promotion("raise"), strict:
             cells, *distances = jax.eval_shape(answers, ROOM, GOAL.astype(dtype), np.ones((2, 2), dtype))
         assert cells.shape == ROOM.shape and [each.shape for each in distances] == [(2,), (2,)]
         assert moves != "any-angle" or {each.dtype for each in (cells, *distances)} == {np.dtype(dtype)}

@@ -96,23 +96,15 @@ class StoredCones:
 
 
 def store_sources(
-    points: Float[np.ndarray, "sources dim"],
-    offsets: Float[np.ndarray, " sources"],
-    parents: Int[np.ndarray, " sources"],
-    domain: Box,
-    is_off: Bool[np.ndarray, "sources fractions"] | None = None,
-    goals: Int[np.ndarray, " goals"] | None = None,
+    sources: Sources, domain: Box, is_off: Bool[np.ndarray, "sources fractions"] | None = None
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    """Round sources to lattices, and merge sources that are rounded to one point.
+    """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
 
-    Return the stored sources, and the index of each given source among the stored sources.
-
-    ``offsets`` are distances to the goal; ``parents[i]`` is the index of the next source on the path from source
-    ``i``. ``is_off`` is the result of :func:`off_lattices`, if known. With several goals, the goals are the first
-    sources, and ``goals`` has their indices. ``ValueError`` if numbers are too large.
+    ``is_off`` is the result of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
     """
     # 1. Check the limits.
-    largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
+    points, parents = sources.points, sources.parents
+    largest = max(np.abs(points).max(initial=0.0), sources.distances.max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
             f"Cones need distances and domains within {_LARGEST_SQUARED:g}, as 32-bit queries square them, got "
@@ -141,10 +133,9 @@ def store_sources(
     index[order] = np.cumsum(is_new) - 1
     parent = index[parents[kept]]
     is_root = parent == np.arange(len(kept))
-    root_offset = np.where(is_root, offsets[kept].astype(np.float32).astype(np.float64), 0.0)
-    of_roots = None if goals is None else goals[kept[is_root]]
+    goals = None if sources.goals is None else sources.goals[kept[is_root]]
     num_fine = int(np.count_nonzero(is_fine[kept]))
-    return StoredSources(num_fine, exponent, fraction, code[kept], parent, root_offset, of_roots), index
+    return StoredSources(num_fine, exponent, fraction, code[kept], parent, np.zeros(len(kept)), goals), index
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
@@ -367,7 +358,7 @@ class ConeFiles:
             row = np.searchsorted(kept, np.arange(len(sources.parents)))
             columns = sources.points[kept], sources.distances[kept], row[sources.parents[kept]]
             goals = None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]]
-            stored, index = store_sources(*columns, self._domain, self._is_off[kept], goals)
+            stored, index = store_sources(Sources(*columns, goals), self._domain, self._is_off[kept])
             _write_sources(body := BitWriter(), self._domain, stored)
             if stored.goals is not None:
                 write_goals(body, stored.goals)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from plr_jax._arrays import shortened
-from plr_jax._types import Distances, Points, Sources
+from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -102,11 +102,6 @@ class Cone(LeafModel):
         offset, *source = parameters
         differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
         return offset + root(reduce(add, [difference * difference for difference in differences]))
-
-    def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, " leaves"]]:
-        """Return the apexes of all cones (obstacle corners and goals), and the index of each leaf's apex."""
-        sources = stored.sources
-        return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
     def source_of(self, parameters: Sequence[Any]) -> Sequence[Any]:
         return parameters[1:]
