@@ -213,15 +213,16 @@ class SelectedBoxes(NamedTuple):
 class PriceSearch:
     """A search for the tree of least error whose file is within limits, such as a number of bytes.
 
-    It finds trees of least error plus a price per leaf, and lowers the price. ``levels`` has the known boxes, first
-    the root; ``size(tree)`` returns the bytes of a file. ``num_sources``, the number of possible apexes of cones,
-    only affects the first price.
+    It finds trees of least error plus a price per leaf, and lowers the price. ``root`` is the whole domain as the
+    only box, and ``levels`` has all boxes found so far. ``size(levels, tree)`` returns the bytes of a file.
+    ``num_sources``, the number of possible apexes of cones, only affects the first price.
     """
 
     def __init__(
-        self, levels: list[BoxLevel], limits: Limits, size: Callable[[PricedTree], int], num_sources: int = 0
+        self, root: Any, limits: Limits, size: Callable[[list[BoxLevel], PricedTree], int], num_sources: int = 0
     ) -> None:
-        self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
+        self._limits, self._size, self._num_sources = limits, size, num_sources
+        self.levels = [BoxLevel.of(root, root.cells.hashes())]
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
         self._selected: list[SelectedBoxes] = []
 
@@ -280,7 +281,7 @@ class PriceSearch:
     def _tree(self, price: float, weight: float) -> PricedTree:
         """Return the best tree with the size of its file, if bytes are limited."""
         tree = self._best_tree(price, weight)
-        return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
+        return replace(tree, num_bytes=self._size(self.levels, tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
         """Return the share of the limits that a tree takes, more than 1 if it exceeds them."""
