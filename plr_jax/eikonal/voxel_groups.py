@@ -97,15 +97,16 @@ class VoxelGroups:
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
         """Return the costs of all open nodes, and costs of the groups' other voxels, from the ``cost`` of a march.
 
-        The first result is ``cost``, modified in place. A march misses nodes to which only other voxels lead. It
-        begins again in each region of these nodes, at the node nearest to the goal. For a group, the cost of its
-        other voxel that is nearest to the goal is returned: ``inf`` if it has none, or no path leads there.
+        A march misses nodes to which only other voxels lead. It begins again in each region of these nodes, at the
+        node nearest to the goal. For a group, the cost of its other voxel that is nearest to the goal is returned:
+        ``inf`` if it has none, or no path leads there.
         """
         of_parts, others = self._costs_across_faces(cost, slowness)
         labeled: Any = ndimage.label(self.is_open & np.isfinite(of_parts))  # finite: the march missed the node
         region, num = labeled
         if not num:
             return cost, others
+        cost = cost.copy()
         for index, box in enumerate(ndimage.find_objects(region), 1):
             is_inside = region[box] == index
             least = float(of_parts[box][is_inside].min())
