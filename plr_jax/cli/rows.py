@@ -32,13 +32,13 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
         if rows and may_be_header:
             may_be_header = False
             # A header looks like names, and cannot be read as numbers, as nan,inf can.
-            if _HEADER.fullmatch(rows[0]) and _parse(rows[:1], np.empty((1, dim))):
+            if _HEADER.fullmatch(rows[0]) and _parse(rows[:1], dim)[1]:
                 del rows[0], numbers[0]
         # 2. Read the numbers.
         if rows:
             is_empty = False
-            points = np.full((len(rows), dim), np.nan)
-            if bad := _parse(rows, points):
+            points, bad = _parse(rows, dim)
+            if bad:
                 where = f"{name}, line {num_lines + numbers[bad[0]]}"
                 more = f", as for {len(bad) - 1:,} more rows" if len(bad) > 1 else ""
                 warn(f"{where}: expected {expected}, got {rows[bad[0]][:_MOST_SHOWN]!r}; the answer is nan{more}.")
@@ -61,18 +61,17 @@ def _blocks(file: Any) -> Iterator[str]:
     yield rest.decode("utf-8-sig", "replace")
 
 
-def _parse(rows: list[str], points: Float[np.ndarray, "n dim"]) -> list[int]:
-    """Write the numbers of text rows into the array ``points``, and return the indices of bad rows.
+def _parse(rows: list[str], dim: int) -> tuple[Float[np.ndarray, "n dim"], list[int]]:
+    """Return the numbers of rows, NaN in bad rows, and the indices of bad rows.
 
-    ``np.loadtxt`` is fast for many rows, but fails if a row is bad. If it fails, each half of the rows is parsed
-    separately. Bad rows of ``points`` stay unchanged.
+    ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
     """
     with suppress(ValueError):
         read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
-        if read.shape == points.shape:
-            points[:] = read
-            return []
+        if read.shape == (len(rows), dim):
+            return read, []
     if len(rows) == 1:
-        return [0]
+        return np.full((1, dim), np.nan), [0]
     half = len(rows) // 2
-    return _parse(rows[:half], points[:half]) + [half + bad for bad in _parse(rows[half:], points[half:])]
+    (first, bad), (second, others) = _parse(rows[:half], dim), _parse(rows[half:], dim)
+    return np.concatenate([first, second]), bad + [half + row for row in others]

@@ -57,7 +57,6 @@ class CostToGoField:
     values: Float[np.ndarray, " dofs"]  # its solution, at most 0 at goals; before rescaling, slopes may be too large
     paths: NodePaths  # paths to the goal, whose costs are upper bounds
     nodal_estimate: Float[np.ndarray, " nodes"]  # at the corners of cells; inf where unknown
-    nodal_goal: Int[np.ndarray, " nodes"] | None  # goal of each node's estimated path; None if the guide knows it
     space: ConfigurationSpace
     reach: Reach | None  # of the estimate
     guide: GridEstimate | None  # an estimate on a grid of the space that paths join to goals; None beyond three axes
@@ -116,23 +115,6 @@ class CostToGoField:
         values = np.zeros(mesh.corners.shape)
         values[cell] = np.minimum(lower + _filled(np.maximum(excess, 0.0), node), upper)
         return MeshEstimate(mesh, values, self.reach)
-
-    def which(self, x: Points) -> CellIndex:
-        """Return the index of the goal to which the estimated path from each point leads."""
-        mesh, costs = self.mesh, self.program.costs
-        if self.nodal_goal is None:
-            assert self.guide is not None
-            return self.guide.which(x)
-        # 1. The best path through a corner of the point's cell.
-        node = mesh.corners[mesh.locate((mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width)]
-        offset = mesh.domain.difference(mesh.domain.at(mesh.nodes[node]), x[:, None])
-        straight = costs.motion_cost.norm(offset.reshape(-1, mesh.dim)).reshape(node.shape)
-        total = self.nodal_estimate[node] + straight * costs.least_rate
-        best = node[np.arange(len(x)), total.argmin(axis=1)]
-        # 2. The nearest goal counts if a straight motion there costs no more at the least rate, or without a path.
-        distance, nearest = nearest_goals(self.goals, mesh.domain, costs.motion_cost, x)
-        is_near = distance[:, 0] * costs.least_rate <= total.min(axis=1)
-        return np.where(is_near | np.isinf(self.nodal_estimate[best]), nearest[:, 0], self.nodal_goal[best])
 
     @property
     def mean_gap(self) -> float:

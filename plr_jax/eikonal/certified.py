@@ -84,7 +84,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
     sampler = Sampler(distances, domain, None, pattern, pattern, limits.max_axis_depth, reach=estimate.reach)
-    tree, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
+    tree, stored, _ = model.construct(sampler, Rules(largest_error, best_axis), limits)
     contents = DecodedFile(domain, model, tree, stored, cut_off=cut_off_leaves(estimate.reach, tree))
     return plr_of_leaves(contents if field is None else _with_proof(contents, field, straight))
 

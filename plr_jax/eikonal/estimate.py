@@ -226,7 +226,8 @@ def grid_estimate(
     # 4. The cost-to-go of all nodes, by marching from balls around goals, or by paths over a stencil.
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
-        has_thin_walls = groups is not None or _close_beside_walls(space, cells, is_open, node, side)
+        walled = np.zeros(shape, bool) if groups is not None else _nodes_at_walls(space, cells, is_open, node, side)
+        is_open &= ~walled
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
             # Paths may pass where obstacles touch, so the four nodes around a contact are open.
             boundary = space.workspace.boundary
@@ -240,7 +241,8 @@ def grid_estimate(
         if cost_map is None:
             cost = np.minimum(cost, straight)
         known_goal = np.where(cost == straight, known_goal, -1)
-        if not (domain.is_periodic or has_thin_walls) and has_coarse_grid(is_open, is_clear, factor):
+        # A coarse grid would miss thin walls: those between two nodes, and those inside of a group of voxels.
+        if not (domain.is_periodic or groups or walled.any()) and has_coarse_grid(is_open, is_clear, factor):
             is_beyond = is_open & (~sees_nearest | (lengths >= 2 * radius))
             cost = extrapolated(cost, is_open, slowness, float(cost[is_beyond].min(initial=np.inf)), side)
         if groups is not None:
@@ -355,14 +357,10 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     return state, is_open, is_clear
 
 
-def _close_beside_walls(
+def _nodes_at_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
-) -> bool:
-    """For each pair of neighbor nodes of the grid that a wall separates, close the node nearer to the wall.
-
-    A node is closed if paths may not pass it: its entry in ``is_open`` becomes False, in place. Return whether any
-    node was closed.
-    """
+) -> IsOpen:
+    """Return one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         # Motions between two open nodes need a test unless both cells are proven free.
@@ -379,8 +377,7 @@ def _close_beside_walls(
         begin, end, q = begin[is_walled], end[is_walled], q[is_walled]
         is_far = space.are_free(q, q + step / 2)  # then the wall is in the second half
         closed[tuple(np.where(is_far[:, None], end, begin).T)] = True
-    is_open &= ~closed
-    return bool(closed.any())
+    return closed
 
 
 def _stencil_paths(

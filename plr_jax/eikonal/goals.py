@@ -1,5 +1,6 @@
 """The nearest of several goals, by distance or along the shortest path from a node of a grid."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ from scipy.spatial import KDTree
 
 from plr_jax._arrays import hash64
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import path_ends
 from plr_jax.spaces import MotionCost
 
 Points = Float[np.ndarray, "n dim"]
 Goals = Float[np.ndarray, "goals dim"]
 GoalIndex = Int[np.ndarray, "*shape"]
+WhichGoal = Callable[[Points], Int[np.ndarray, " n"]]  # from points to the indices of the goals of their paths
 _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
 
@@ -95,12 +98,10 @@ def carried_goals(
     read = ((averaged > 0) << digit).sum(axis=1)
     decoded = read & ((1 << bits) - 1)
     is_code = (decoded < num_goals) & (code[np.minimum(decoded, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
-    # 3. Elsewhere take the goal of the neighbor with the largest weight. Pointer doubling follows these neighbors to
-    #    nodes whose bits are the code of a goal, or that have no neighbor.
+    # 3. Elsewhere follow the neighbors with the largest weights, up to a node whose bits are those of a goal, or that
+    #    has no neighbor. Take the goal of this node.
     best = neighbor[weights.argmax(axis=0), np.arange(len(order))]
-    ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
-    while (ahead != ahead[ahead]).any():
-        ahead = ahead[ahead]
+    ends = path_ends(np.where(is_code | (total == 0), np.arange(len(order)), best))
     goal = np.full(cost.size, -1)
-    goal[order] = np.where(is_code, decoded, -1)[ahead]
+    goal[order] = np.where(is_code, decoded, -1)[ends]
     return goal.reshape(cost.shape)

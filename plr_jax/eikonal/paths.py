@@ -9,6 +9,7 @@ planning on grids", 2007.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -17,9 +18,10 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, ragged_indices
-from plr_jax.eikonal.goals import Points
+from plr_jax.eikonal.goals import Points, nearest_goals
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
+from plr_jax.geometry.graph import path_ends
 from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
@@ -45,13 +47,24 @@ class NodePaths:
     cost: Costs  # of each node's path, rounded up; inf if none was found
     next: Nodes  # the second node of each path; for a goal, itself; without a path, the first goal
 
-    @property
+    @cached_property
     def ends(self) -> Nodes:
         """The index in ``points`` of the goal at the end of each node's path; the first goal if there is no path."""
-        ends = self.next
-        while (ends != ends[ends]).any():
-            ends = ends[ends]
-        return ends
+        return path_ends(self.next)
+
+    def which(self, mesh: Mesh, costs: CellCosts, x: Points) -> Nodes:
+        """Return the index of the goal to which the path from each point leads, over a corner of the point's cell."""
+        # 1. The cheapest path over a corner, with straight motions to corners at the least rate.
+        domain, num = mesh.domain, len(mesh.nodes)
+        node = mesh.corners[mesh.locate((domain.wrapped(x) - domain.lo) / domain.width)]
+        offset = domain.difference(domain.at(mesh.nodes[node]), x[:, None])
+        straight = costs.motion_cost.norm(offset.reshape(-1, mesh.dim)).reshape(node.shape)
+        total = self.cost[node] + straight * costs.least_rate
+        best = node[np.arange(len(x)), total.argmin(axis=1)]
+        # 2. The nearest goal counts if a straight motion there costs no more at the least rate, or without a path.
+        distance, nearest = nearest_goals(domain.at(self.points[num:]), domain, costs.motion_cost, x)
+        is_near = distance[:, 0] * costs.least_rate <= total.min(axis=1)
+        return np.where(is_near | np.isinf(self.cost[best]), nearest[:, 0], self.ends[best] - num)
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> Costs:

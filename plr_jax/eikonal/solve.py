@@ -6,7 +6,6 @@ mesh give the upper bound. Otherwise, a PLR is fitted to an estimate on a grid.
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,7 +19,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.eikonal.bounds import CostToGoField
 from plr_jax.eikonal.certified import plr_of_bytes, plr_on_mesh, straight_bound
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
-from plr_jax.eikonal.goals import Goals
+from plr_jax.eikonal.goals import Goals, Points, WhichGoal
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
@@ -196,7 +195,7 @@ def solve_eikonal(
         # 3b. Solve for the bounds on a mesh.
         max_cells = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
         check_memory(2.0 * max_cells, _BYTES_A_CELL / 2)
-        field = _field(cells, cost_map, at, max_cells, tolerance, goals)
+        field, nearest_goal = _field(cells, cost_map, at, max_cells, tolerance, goals)
         estimate = field.estimate
         proven = field if isinstance(space, ConfigurationSpace) else None
         _require_costs(float(estimate.corner_values.max()))
@@ -205,7 +204,6 @@ def solve_eikonal(
         may_fit = len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes
         on_mesh = plr_on_mesh(estimate, proven, most_bytes) if may_fit else None
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
-        nearest_goal = field.which
         warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
     # 5. Without bounds, also a single goal has an index: -1 where the estimate is infinite.
     if certified and goal.ndim == 1:
@@ -213,9 +211,7 @@ def solve_eikonal(
     return plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), nearest_goal))
 
 
-def _row_of_goal(
-    rows: Int[np.ndarray, " k"], which: Callable, x: Float[np.ndarray, "n dim"]
-) -> Int[np.ndarray, " n"]:
+def _row_of_goal(rows: Int[np.ndarray, " k"], which: WhichGoal, x: Points) -> Int[np.ndarray, " n"]:
     # The index of the nearest goal among all given goals, from its index among distinct ones. A function of its own,
     # since lambdas cannot be pickled.
     return rows[which(x)]
@@ -265,7 +261,7 @@ def _field(
     max_cells: int,
     tolerance: float,
     places: Float[np.ndarray, "places dim"],  # the goals as given: rounding has moved `goals`
-) -> CostToGoField:
+) -> tuple[CostToGoField, WhichGoal]:
     # 1. Solve for the lower bound, in the part of the space that paths join to goals.
     reached, cut_off = space.separated(places) if isinstance(space, Separable) else (space, None)
     reach = None if cut_off is None else _reach_of_spaces(reached, cut_off)
@@ -282,17 +278,16 @@ def _field(
     program, mesh, domain = solver.program, solver.mesh, space.domain
     paths = shortest_paths(mesh, program.costs, goals, space)
     # 3. The estimate at nodes: from a grid or, beyond three axes, by paths through cells that are probably free.
-    guide = nodal_goal = None
+    guide = None
     if mesh.dim <= MOST_AXES:
         guide = grid_estimate(reached, cost_map, domain.at(goals))
-        nodal_estimate = guide(domain.at(mesh.nodes))
+        nodal_estimate, which = guide(domain.at(mesh.nodes)), guide.which
     else:
         likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
-        num = len(mesh.nodes)
-        nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num  # goals follow the nodes
+        nodal_estimate, which = likely.cost[: len(mesh.nodes)], partial(likely.which, mesh, program.costs)
     if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
         reach = guide.reach(domain)
-    return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, reach, guide)
+    return CostToGoField(program, solver.values, paths, nodal_estimate, space, reach, guide), which
 
 
 _COARSEST = 1 / 16  # share of all cells in the first mesh

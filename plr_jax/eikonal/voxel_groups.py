@@ -102,20 +102,18 @@ class VoxelGroups:
         return cls(box, size, free, part, has_part, is_open, box.lo + middles * side)
 
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        """Complete the costs-to-go of a march over nodes by the costs-to-go of voxels that no node stands for.
+        """Return the costs of all open nodes, and costs of the groups' other voxels, from the ``cost`` of a march.
 
-        ``cost`` is the cost-to-go of each node, ``inf`` where the march did not arrive, and ``slowness`` the cost per
-        unit of length. The *other* voxels are the free voxels that belong to no part with a finite cost.
-
-        Return two arrays with one entry per group. The first is ``cost``, completed in place: some open nodes can be
-        reached only through other voxels. So the march begins again in each region of such nodes, at the node nearest
-        to the goal. The second is the least cost of the group's other voxels, ``inf`` if none can be reached.
+        A march misses nodes to which only other voxels lead. It begins again in each region of these nodes, at the
+        node nearest to the goal. For a group, the cost of its other voxel that is nearest to the goal is returned:
+        ``inf`` if it has none, or no path leads there.
         """
         of_parts, others = self._costs_across_faces(cost, slowness)
         labeled: Any = ndimage.label(self.is_open & np.isfinite(of_parts))  # finite: the march missed the node
         region, num = labeled
         if not num:
             return cost, others
+        cost = cost.copy()
         for index, box in enumerate(ndimage.find_objects(region), 1):
             is_inside = region[box] == index
             least = float(of_parts[box][is_inside].min())

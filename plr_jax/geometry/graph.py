@@ -80,6 +80,14 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
+def path_ends(onward: Int[np.ndarray, " v"]) -> Int[np.ndarray, " v"]:
+    """Return the last vertex of each vertex's path; ``onward`` has the next vertex, the vertex itself at an end."""
+    # Pointer doubling: after round k, `onward` is the vertex 2**k steps ahead. Paths must not form circles.
+    while not np.array_equal(further := onward[onward], onward):
+        onward = further
+    return onward
+
+
 def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2) -> VisiblePaths:
     """Return the first vertices of each point's ``count`` shortest visible paths, and the lengths of these paths.
 

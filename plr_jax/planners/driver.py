@@ -116,8 +116,8 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
     run = Run(problem, heuristic, options, time.perf_counter())
     try:
         if (status := run.try_sequential_path()) is None:
-            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
-                status = run.search_until_limit()
+            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as bar:
+                status = run.search_until_limit(bar)
             run.shorten_sequential_path()
         if run.path is not None and run.cost <= run.accepted_cost:
             status = Status.SOLVED
@@ -131,8 +131,6 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
 
 class Run:
     """A call of :func:`bl_plan`: the best path so far, and the searches that improve it."""
-
-    progress: tqdm  # set while lattices are searched
 
     def __init__(self, problem: Problem, heuristic: HeuristicFn | None, options: BLOptions, began: float):
         self.problem, self.heuristic, self.options = problem, heuristic, options
@@ -172,9 +170,7 @@ class Run:
         # 1. Record the path, if there is one.
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             if (path := sequential_path(self.problem)) is not None:
-                self.record(path, _SEQUENTIAL, math.inf)
-                self.path = with_early_departures(self.problem, path)
-                self.history[-1] = self.history[-1][0], path_cost(self.problem, self.path)  # equal but for rounding
+                self.record(with_early_departures(self.problem, path), _SEQUENTIAL, math.inf)
             self.end_phase("search")
         # 2. Compute the lower bound, and the largest cost that is accepted. Without a cost factor, only a path whose
         #    cost is the lower bound needs no improvement.
@@ -198,7 +194,7 @@ class Run:
             self._shorten(subdivided(self.problem, self.path, width), _SEQUENTIAL, factor, width)
         return self.found_by == _SEQUENTIAL and self.cost <= self.accepted_cost
 
-    def search_until_limit(self) -> Status:
+    def search_until_limit(self, bar: tqdm) -> Status:
         """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
 
         From one search to the next the lattice gets finer, and the weight of the heuristic falls. If the user gave a
@@ -209,7 +205,7 @@ class Run:
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_PER_ROBOT * len(self.problem.robots))
         while True:
-            status, step = self._search_lattices(step, weight, searchers)
+            status, step = self._run_searches(step, weight, searchers, bar)
             if status is not Status.SOLVED or self.cost <= self.accepted_cost:
                 return status
             if limit := self.budget.exceeded():
@@ -225,12 +221,8 @@ class Run:
             else:
                 return Status.EXHAUSTED
 
-    def _search_lattices(self, step: float, weight: float, searchers: Sequence[str]) -> tuple[Status, float]:
-        """Search lattices of cell size ``step`` and finer until a path is found, a limit is reached or none is left.
-
-        Return the status, and the cell size to continue with. ``weight`` is that of the heuristic on the first
-        lattice; it grows with each finer lattice.
-        """
+    def _run_searches(self, step: float, weight: float, searchers: Sequence[str], bar: tqdm) -> tuple[Status, float]:
+        """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []  # from the coarsest lattice to the finest
         is_complete = True  # whether all searches that ended had tried everything
@@ -255,11 +247,10 @@ class Run:
                     self.end_phase("heuristic")
                 # 3. Give all searches a turn, the newest first. (The loop may remove the present entry.)
                 for searches in reversed(running):
-                    self.progress.set_postfix(
-                        step=f"{searches.joint.step:.3g}", nodes=self.budget.num_nodes, cost=f"{self.cost:.4g}"
-                    )
+                    nodes, cost = self.budget.num_nodes, f"{self.cost:.4g}"
+                    bar.set_postfix(step=f"{searches.joint.step:.3g}", nodes=nodes, cost=cost)
                     try:
-                        status = searches.run(self.progress)
+                        status = searches.run(bar)
                     except TimeoutError:
                         status = Status.TIME_LIMIT
                     finally:

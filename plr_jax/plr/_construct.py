@@ -266,14 +266,15 @@ def _build_leaves(
         if reach is not None or seen.sum() > few_samples(domain.dim):
             break
     sampler = replace(sampler, is_sparse=bool(seen.mean() < _SPARSE))
-    tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
+    tree, stored, visible = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # files store no options of a model
     contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off_leaves(reach, tree))
 
     # 4. Prove its error bounds.
     if proof is not Proof.NONE and cache is not None:
         try:
-            contents = replace(contents, certificate=certificate_of(contents, cache.sources_of_leaves(tree), proof))
+            visible = cache.sources_of_leaves(tree) if visible is None else visible
+            contents = replace(contents, certificate=certificate_of(contents, visible, proof))
         except KeyboardInterrupt:
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)

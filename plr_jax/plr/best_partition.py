@@ -198,6 +198,13 @@ Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 """For each level, the indices of the boxes that are leaves of a tree."""
 
 
+class SelectedBoxes(NamedTuple):
+    """The boxes of a level that the best tree at a price, or at a higher one, may contain."""
+
+    box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
+    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
+
+
 @dataclass(frozen=True, eq=False)
 class PricedTree:
     """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
@@ -206,6 +213,7 @@ class PricedTree:
     axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
     order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float
+    selected: list[SelectedBoxes]  # the boxes, level by level, among which the tree is the best
     num_bytes: int = 0
     is_final: bool = False  # whether the search for a larger tree is over
 
@@ -221,33 +229,25 @@ def peak_weight(num_leaves: float, is_proven: bool) -> float:
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
-class SelectedBoxes(NamedTuple):
-    """The boxes of a level that may be in the best tree at the current price per leaf, or at a higher price."""
-
-    box: Int[np.ndarray, " own"]  # indices of the selected boxes in the level
-    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level, or UNKNOWN
-
-
 class PriceSearch:
     """A search for the tree of least error whose file is within limits, such as a number of bytes.
 
-    It finds trees of least error plus a price per leaf, and lowers the price. ``levels`` has the known boxes, first
-    the root; ``size(tree)`` returns the bytes of the tree's file. ``num_sources``, the number of possible apexes of
-    cones, only affects the first price.
+    It finds trees of least error plus a price per leaf, and lowers the price. ``root`` is the whole domain as the
+    only box, and ``levels`` has all boxes found so far. ``size(levels, tree)`` returns the bytes of a file.
+    ``num_sources``, the number of possible apexes of cones, only affects the first price.
     """
 
     def __init__(
-        self, levels: list[BoxLevel], limits: Limits, size: Callable[[PricedTree], int], num_sources: int = 0
+        self, root: Any, limits: Limits, size: Callable[[list[BoxLevel], PricedTree], int], num_sources: int = 0
     ) -> None:
-        self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
+        self._limits, self._size, self._num_sources = limits, size, num_sources
+        self.levels = [BoxLevel.of(root, root.cells.hashes())]
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-        self._selected: list[SelectedBoxes] = []
 
     def first(self) -> PricedTree:
         """Return the tree whose only leaf is the root; raise :class:`BudgetTooSmall` if its file is too large."""
         price = float(self.levels[0].costs(1.0)[0])
-        self._select_boxes(price, 1.0)
-        tree = self._tree(price, 1.0)
+        tree = self._tree(self._select_boxes(price, 1.0), price, 1.0)
         self._limits.require_room(tree.num_bytes)
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
@@ -261,10 +261,9 @@ class PriceSearch:
         price, weight = self._next_price(now)
         num_boxes = self._num_boxes()
         expand(self.levels, price, weight, self._limits)
-        self._select_boxes(price, weight)
-        larger = self._tree(price, weight)
+        larger = self._tree(self._select_boxes(price, weight), price, weight)
         if self._num_boxes() == num_boxes and self._is_finest(larger, weight):
-            larger = replace(self._tree(_LAST * price, weight), is_final=True)
+            larger = replace(self._tree(larger.selected, _LAST * price, weight), is_final=True)
         return larger if self._fill(larger) <= 1 else self._largest(now, larger, weight)
 
     def _num_boxes(self) -> int:
@@ -293,7 +292,7 @@ class PriceSearch:
         if len(now) == 1:
             growth = max(_FIRST_FILL * growth, 2.0)
             return now.price * (growth**-_FIRST_RATE if growth < _UNLIMITED else _LARGEST_DROP), weight
-        before = len(self._best_tree(_RATE_STEP * now.price, weight))
+        before = len(self._best_tree(now.selected, _RATE_STEP * now.price, weight))
         if before == len(now) or growth > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, weight
         # 3. Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
@@ -301,13 +300,13 @@ class PriceSearch:
         drop = float(np.clip((_BEYOND * growth) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, weight
 
-    def _tree(self, price: float, weight: float) -> PricedTree:
+    def _tree(self, selected: list[SelectedBoxes], price: float, weight: float) -> PricedTree:
         """Return the best tree at a price per leaf; compute the size of its file only if bytes are limited.
 
         ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
-        tree = self._best_tree(price, weight)
-        return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
+        tree = self._best_tree(selected, price, weight)
+        return replace(tree, num_bytes=self._size(self.levels, tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
         """Return the share of the limits that a tree uses, more than 1 if the tree exceeds a limit."""
@@ -327,7 +326,7 @@ class PriceSearch:
             sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
-            middle = self._tree(price, weight)
+            middle = self._tree(beyond.selected, price, weight)
             if self._fill(middle) <= 1:
                 fits = largest = middle
             else:
@@ -336,11 +335,8 @@ class PriceSearch:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, price: float, weight: float) -> None:
-        """Store in ``_selected`` the boxes that the best tree at ``price`` or a higher price may contain.
-
-        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
-        """
+    def _select_boxes(self, price: float, weight: float) -> list[SelectedBoxes]:
+        """Return the boxes of each level that the best tree at this or a higher price may contain."""
         # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
         # the root along all other halvings.
         nodes, selected = np.zeros(1, np.int64), []
@@ -355,9 +351,9 @@ class PriceSearch:
             is_selected = np.bincount(child[is_known]) > 0
             nodes = np.flatnonzero(is_selected)
             child[is_known] = (np.cumsum(is_selected) - 1)[child[is_known]]
-        self._selected = selected
+        return selected
 
-    def _best_tree(self, price: float, weight: float) -> PricedTree:
+    def _best_tree(self, selected: list[SelectedBoxes], price: float, weight: float) -> PricedTree:
         """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``.
 
         ``weight`` multiplies the largest error of a leaf in the leaf's cost.
@@ -365,7 +361,7 @@ class PriceSearch:
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.
-        choices, below, selected = [], np.zeros(0), self._selected
+        choices, below = [], np.zeros(0)
         for level, (box, child) in zip(reversed(self.levels[: len(selected)]), reversed(selected), strict=True):
             total = level.costs(weight)[box] + price
             choice = np.full(len(box), -1)
@@ -387,4 +383,4 @@ class PriceSearch:
             leaves.append(box[nodes[~is_inner]])
             walked.append(axis)
             nodes = child[axis[is_inner], :, nodes[is_inner]].ravel()
-        return PricedTree(leaves, walked, leaf_order(walked), price)
+        return PricedTree(leaves, walked, leaf_order(walked), price, selected)

@@ -240,7 +240,7 @@ class Sampler:
     dense_pattern: Pattern  # for cells where few samples reach the goal
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
-    cache: SourceCache | None = None  # if there is one, it computes distances in cells instead of distance_fn
+    cache: SourceCache | None = None  # if known: samples in cells take distances from sources, which is faster
     reach: Reach | None = None  # if known
     is_sparse: bool = False  # whether little of the domain reaches the goal
 

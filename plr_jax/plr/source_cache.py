@@ -24,20 +24,7 @@ class SourceCache:
         self._parts: list[CellSources] = []
         self._hashes = np.zeros(0, np.uint64)  # of known cells, sorted
         self._place = np.zeros((2, 0), np.int64)  # the part that holds each known cell, and its index in this part
-        self.remember(Cells.root(2), root)
-
-    def remember(self, cells: Cells, visible: CellSources) -> None:
-        """Add cells and their sources to the cache.
-
-        ``visible`` has the sources of each cell: the corners (or the goal) to which shortest paths from the cell may
-        go first.
-        """
-        hashes = np.append(self._hashes, cells.hashes())
-        part = np.full(len(cells), len(self._parts))
-        place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
-        order = np.argsort(hashes, kind="stable")
-        self._hashes, self._place = hashes[order], place[:, order]
-        self._parts.append(visible)
+        self._remember(Cells.root(2), root)
 
     def sources(self, cells: Cells) -> CellSources:
         """Return the *sources* of cells: the corners (or the goal) to which shortest paths from a cell may go first.
@@ -57,7 +44,7 @@ class SourceCache:
             is_upper = new.position[np.arange(len(new)), axis] % 2 == 1
             lo, hi = new[order].grown_boxes(self._domain)
             halves = self._recall(whole[first]).parts(parent[order], axis[order], is_upper[order], lo, hi)
-            self.remember(new[order], halves)
+            self._remember(new[order], halves)
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
@@ -71,12 +58,21 @@ class SourceCache:
             while len(nodes):
                 is_leaf = tree.child[nodes] < 0
                 leaf, inner = np.flatnonzero(is_leaf), np.flatnonzero(~is_leaf)
-                self.remember(tree.cells[nodes[leaf]], visible.of_cells(leaf))
+                self._remember(tree.cells[nodes[leaf]], visible.of_cells(leaf))
                 parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
                 nodes = tree.halves(nodes[inner])
                 lo, hi = tree.cells[nodes].grown_boxes(self._domain)
                 visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
         return self._recall(tree.leaves)
+
+    def _remember(self, cells: Cells, visible: CellSources) -> None:
+        # Add the sources of cells, as a new part.
+        hashes = np.append(self._hashes, cells.hashes())
+        part = np.full(len(cells), len(self._parts))
+        place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
+        order = np.argsort(hashes, kind="stable")
+        self._hashes, self._place = hashes[order], place[:, order]
+        self._parts.append(visible)
 
     def _knows(self, cells: Cells) -> Bool[np.ndarray, " cells"]:
         hashes = cells.hashes()

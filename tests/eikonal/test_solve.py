@@ -95,7 +95,8 @@ def test_nearest_goal_is_lost_in_files_and_under_jit(tmp_path):
         with pytest.raises(ValueError, match="does not store which goal is nearest"):
             other.which(x)
     estimate = solve_eikonal(EMPTY, goals, certified=False, max_leaves=20)
-    assert pickle.loads(pickle.dumps(estimate)).which(x).tolist() == [1]
+    for named in (plr, estimate):
+        assert pickle.loads(pickle.dumps(named)).which(x).tolist() == [1]
 
 
 def test_repeated_goals_count_once():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from plr_jax.geometry.graph import Graph, dijkstra, first_visible, first_visible_ragged, path_to_root
+from plr_jax.geometry.graph import Graph, dijkstra, first_visible, first_visible_ragged, path_ends, path_to_root
 
 
 @st.composite
@@ -37,6 +37,16 @@ def test_dijkstra_equals_networkx(graph):
         assert all(frozenset(map(tuple, step)) in places for step in itertools.pairwise(path[1:].tolist()))
         legs = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
         assert legs.sum() == pytest.approx(expected[vertex], abs=1e-12) and (legs > 0).all()
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=40))
+def test_path_ends_equal_the_last_of_steps(steps):
+    """Each vertex leads to a vertex of a smaller number, or is an end."""
+    onward = np.minimum(steps, np.arange(len(steps)))
+    for vertex, end in enumerate(path_ends(onward).tolist()):
+        while onward[vertex] != vertex:
+            vertex = onward[vertex]
+        assert end == vertex
 
 
 LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plr_jax.plr import best_partition
-from plr_jax.plr.best_partition import BoxLevel, PriceSearch, cost_if_halved
+from plr_jax.plr.best_partition import PriceSearch, cost_if_halved
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.tree import Cells
@@ -96,15 +96,14 @@ def limits_for(**given):
     return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
 
 
-def size(tree):
+def size(levels, tree):
     return 10 + 3 * len(tree)
 
 
 def best_boxes(root, **given):
-    levels = [BoxLevel.of(root, root.cells.hashes())]
-    price_search = PriceSearch(levels, limits_for(**given), size)
+    price_search = PriceSearch(root, limits_for(**given), size)
     tree = grow(price_search.first(), price_search.next, limits_for(**given))
-    first, *others = (level.boxes[box] for level, box in zip(levels, tree.leaves, strict=False))
+    first, *others = (level.boxes[box] for level, box in zip(price_search.levels, tree.leaves, strict=False))
     return first.append(*others)
 
 

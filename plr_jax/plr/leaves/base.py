@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, product_in_order, require_integer
-from plr_jax._types import Distances, Points
+from plr_jax._types import CellSources, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate import Proof
@@ -55,8 +55,11 @@ class LeafModel(ABC):
     bits_of_powers: int = 0  # log2 of the number of powers of a coordinate in a leaf's polynomial; 0: plane or cone
 
     @abstractmethod
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:
-        """Find a partition within the limits and fit its leaves; return its tree, and the leaves' stored data."""
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any, CellSources | None]:
+        """Find a partition within the limits and fit its leaves.
+
+        Return the tree, the leaves' stored data and, if the search computed them, the leaves' sources for a proof.
+        """
 
     @abstractmethod
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:

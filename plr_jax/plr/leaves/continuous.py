@@ -418,14 +418,14 @@ class Continuous(LinearLeafModel):
     def min_samples(self, dim: int) -> int:
         return 2**dim + 1
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues, None]:
         rounds = _Rounds(self.order, sampler, rules, limits)
         first = rounds.fit_leaves(sampler.first_cells(limits.max_leaves))
         while first.num_bytes > limits.max_bytes and len(first) > 1:
             first = rounds.fit_leaves(sampler.first_cells(len(first) // 2))
         limits.require_room(first.num_bytes)
         stored = grow(first, rounds.next, limits).stored
-        return stored.partition.tree, stored
+        return stored.partition.tree, stored, None
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
         stored.write(body)

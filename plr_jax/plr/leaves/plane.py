@@ -128,7 +128,7 @@ class Plane(LinearLeafModel):
             expected = f"an integer, {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}"
             raise ValueError(f"coefficient_bits must be {expected}, got {bits!r}.")
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredPlanes]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredPlanes, None]:
         by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
@@ -164,7 +164,7 @@ class Plane(LinearLeafModel):
         encoding = Encoding(choices, size, rounding_error)
         nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
         tree = tree_of(nodes.cells[leaf])
-        return tree, stored(nodes, leaf[tree.order], bits)
+        return tree, stored(nodes, leaf[tree.order], bits), None
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
         widths, is_reachable = stored.widths(cells.depth), ~stored.unreachable

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 from operator import add
 from typing import Any
 
@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Int
 
 from plr_jax._arrays import shortened
-from plr_jax._types import Distances, Points
+from plr_jax._types import CellSources, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import Corner, table_corners
-from plr_jax.plr.growth import Limits, best_axis, grow, largest_error
+from plr_jax.plr.growth import Limits, best_axis, largest_error
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
 from plr_jax.plr.leaves.cone.search import best_cones_of_goal
@@ -42,7 +42,7 @@ class Cone(LeafModel):
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         return num_leaves // 2 + 256  # the constant is for some tens of sources
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones]:
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
         _require_euclidean(sampler.domain)
         if sampler.cache is None:
             raise ValueError(
@@ -55,13 +55,10 @@ class Cone(LeafModel):
                 "Leaves of kind 'cone' must not have weight_fn, should_split or split: they are chosen by proven "
                 "errors of whole cells. Leave these options out, or use leaf='continuous'."
             )
-        domain, visible = sampler.domain, sampler.cache.sources(Cells.root(2))
+        visible = sampler.cache.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
-        run = partial(grow, limits=limits)
-        tree, stored, boxes = best_cones_of_goal(visible, domain, limits, sampler.pattern, run, sampler.reach)
-        sampler.cache.remember(boxes.cells, boxes.visible)  # which a proof needs
-        return tree, stored
+        return best_cones_of_goal(visible, sampler.domain, limits, sampler.pattern, sampler.reach)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         write_cones(body, domain, stored)

@@ -21,7 +21,7 @@ from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
-from plr_jax.plr.growth import Limits
+from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
 from plr_jax.plr.source_cache import distances_in_cells
@@ -31,8 +31,6 @@ _MOST_TRIED = 4
 """Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
 LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
 """The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
-GrowFn: TypeAlias = Callable[..., PricedTree]
-"""Function ``run(tree, step)`` that replaces ``tree`` by ``step(tree)`` until that is None; returns the last tree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,38 +298,34 @@ def change_sources(
 
 
 def best_cones_of_goal(
-    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: GrowFn, reach: Reach | None
-) -> tuple[Tree, StoredCones, ConeBoxes]:
+    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, reach: Reach | None
+) -> tuple[Tree, StoredCones, CellSources]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
-    ``visible`` has the whole domain as its only cell. ``run(tree, step)`` replaces a tree by ``step(tree)`` until
-    there is none, and returns the last tree. ``reach``, if known, tells from where the goal can be reached. At the
-    end, some leaves change to a source that more of the leaf sees; ``pattern`` has the positions of the samples that
-    show this.
-
-    Return the tree, its leaves as in a file, and the boxes of the leaves, with their sources before these changes.
+    ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
+    walls hide its source. Return the tree, its leaves as in a file, and the sources to which paths from each leaf may
+    go first.
     """
-    # 1. Start from the domain as the only box; `search` appends boxes to `levels`.
+    # 1. Start from the domain as the only box.
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     root = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE, reach)
-    levels = [BoxLevel.of(root, root.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
-    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
+    def in_order(levels: list[BoxLevel], priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
         # The tree, in the canonical form of files, and the number of each leaf's box, as in `boxes_of_levels`.
         tree = tree_of(tree_of_axes(priced.axes, 2).leaves)
         first_number = np.cumsum([0, *(len(level.key) for level in levels)])
         number = np.concatenate([first + leaf for first, leaf in zip(first_number, priced.leaves, strict=False)])
         return tree, number[priced.order][tree.order]
 
-    def size(priced: PricedTree) -> int:
-        source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
+    def size(levels: list[BoxLevel], priced: PricedTree) -> int:
+        source = np.concatenate([level.boxes.source for level in levels])[in_order(levels, priced)[1]]
         return files.num_bytes(source, limits) * (ROOM + 1) // ROOM
 
     # 2. Search the price at which the tree fills the file.
-    search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
-    tree, number = in_order(run(search.first(), search.next))
+    search = PriceSearch(root, limits, size, len(np.unique(visible.source)))
+    tree, number = in_order(search.levels, grow(search.first(), search.next, limits))
     # 3. Change sources of leaves.
-    boxes = boxes_of_levels([level.boxes for level in levels], number)
+    boxes = boxes_of_levels([level.boxes for level in search.levels], number)
     source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
-    return tree, files.stored(source), boxes
+    return tree, files.stored(source), boxes.visible
