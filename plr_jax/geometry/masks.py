@@ -57,8 +57,8 @@ def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
             f"The outline of the pixels may have at most {_MOST_CORNERS:,} corners, got {count:,}: smooth the "
             "picture, or drop its specks."
         )
-    # 2. In row order, corners 0 and 1, 2 and 3, ... are the ends of the outlines' horizontal runs; in column order, of
-    #    the vertical runs. A contact counts twice: as the end of one run, and as the start of the next.
+    # 2. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs of the outlines. In column order,
+    #    they are the ends of vertical runs. A contact counts twice: it ends one run and starts the next.
     corner = np.repeat(np.argwhere(is_corner), 1 + touches[is_corner], axis=0)  # (row, column)
     by_column = corner[np.argsort(corner[:, 1], kind="stable")]
     runs: Any = shapely.linestrings(np.concatenate([corner, by_column]).reshape(-1, 2, 2))
