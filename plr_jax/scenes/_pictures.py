@@ -4,14 +4,14 @@ import errno
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
 from plr_jax._files import errors_named, yaml_of
@@ -35,7 +35,6 @@ _MOST_DECODED = 3 * 2**24  # bytes of all decoded pixels
 _SMALL = 2**22  # pixels that a file of any size may have
 _PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger pictures
 _BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
-_BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 _NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
 _NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
 OPAQUE = 255  # largest value of an alpha channel
@@ -80,23 +79,11 @@ def read_image(
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
     with errors_named(path) as file:
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
-        return Workspace.from_mask(free_pixels(file, threshold), resolution, origin, row0="top", **options)
-
-
-def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
-    """Return which pixels are free: lighter than ``threshold`` (1 is white). Row 0 is the top row of the picture.
-
-    The ``.yaml`` file of a map of ROS's ``map_server`` has thresholds of its own; unknown pixels are not free.
-    """
-    if path.suffix.lower() in YAML_ENDINGS:
-        return _MapServer.read(path).free(unknown_is_free=False)
-    with open_picture(path) as picture:
-        free = np.empty((picture.height, picture.width), bool)
-        for rows, light, white, alpha in bands(picture):
-            # A pixel of opacity a = alpha / OPAQUE over white appears as a * light + (1 - a) * white.
-            on_white = light if alpha is None else white + (light - white) * (alpha / OPAQUE)
-            free[rows] = on_white > threshold * white
-    return free
+        with open_picture(file) as picture:
+            light, white, alpha = _lightness(picture)
+        # A pixel of opacity a = alpha / OPAQUE over white appears as a * light + (1 - a) * white.
+        on_white = light if alpha is None else white + (light - white) * (alpha / OPAQUE)
+        return Workspace.from_mask(on_white > threshold * white, resolution, origin, row0="top", **options)
 
 
 @contextmanager
@@ -170,25 +157,17 @@ def _require_plain(picture: Any, numbers: bool) -> None:
             picture.info["transparency"] *= _GRAY_STEP[raw_mode]
 
 
-def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield a picture in bands of rows: the slice of the rows, and the three values of :func:`_lightness`."""
-    step = max(1, _BAND // picture.width)
-    for top in range(0, picture.height, step):
-        bottom = min(top + step, picture.height)
-        yield slice(top, bottom), *_lightness(picture.crop((0, top, picture.width, bottom)))
-
-
-def _lightness(part: "Image") -> tuple[Gray, int, Gray | None]:
+def _lightness(picture: "Image") -> tuple[Gray, int, Gray | None]:
     """Return the lightness of each pixel, the lightness of white, and opacity from 0 to 255 (None if opaque)."""
     # Gray of 16 bits, and opaque gray of 8 bits, stay as they are; else lightness is the sum of red, green and blue.
-    if part.mode.startswith("I"):
-        light = np.asarray(part, np.int32)
-        transparent = part.info.get("transparency")  # the gray of all pixels that are transparent
+    if picture.mode.startswith("I"):
+        light = np.asarray(picture, np.int32)
+        transparent = picture.info.get("transparency")  # the gray of all pixels that are transparent
         return light, 2**16 - 1, None if transparent is None else np.where(light == transparent, 0, OPAQUE)
-    if part.mode in ("1", "L") and not part.has_transparency_data:
-        return np.asarray(part.convert("L"), np.int32), 2**8 - 1, None
-    red, green, blue, alpha = np.moveaxis(np.asarray(part.convert("RGBA")), 2, 0).astype(np.int32)
-    return red + green + blue, 3 * (2**8 - 1), alpha if part.has_transparency_data else None
+    if picture.mode in ("1", "L") and not picture.has_transparency_data:
+        return np.asarray(picture.convert("L"), np.int32), 2**8 - 1, None
+    red, green, blue, alpha = np.moveaxis(np.asarray(picture.convert("RGBA")), 2, 0).astype(np.int32)
+    return red + green + blue, 3 * (2**8 - 1), alpha if picture.has_transparency_data else None
 
 
 _REQUIRED = ("image", "resolution", "origin")
@@ -275,7 +254,7 @@ def read_cost_map(
         x, y, yaw = map_server.origin
         if yaw != 0:
             raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")
-        grid = map_server.cells(map_server.occupancy_grid, np.int8)[::-1]
+        grid = map_server.occupancy_grid()[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
         hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
         options: Any = {"unknown_is_free": unknown_is_free, "interpolation": interpolation}
@@ -367,34 +346,30 @@ class _MapServer:
         occupied_thresh = _number("occupied_thresh", entry.get("occupied_thresh", 0.65))
         return cls(image, resolution, origin, mode, bool(negate), free_thresh, occupied_thresh)
 
-    def cells(
-        self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
-    ) -> Shaped[np.ndarray, "rows columns"]:
-        """Apply ``value_of`` to the occupancy (0 to 1, NaN where unknown) of all pixels; row 0 is the top row."""
+    def occupancy(self) -> Float[np.ndarray, "rows columns"]:
+        """Return the occupancy of all pixels, 0 to 1, NaN where unknown; row 0 is the top row."""
         with errors_named(self.image), open_picture(self.image) as picture:
-            cells = np.empty((picture.height, picture.width), dtype)
-            for rows, light, white, alpha in bands(picture):
-                # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
-                if self.mode == "trinary" and alpha is not None:
-                    light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
-                occupancy = (light if self.negate else white - light) / white
-                if self.mode == "raw":
-                    percent = np.rint(_RAW_WHITE * light / white)
-                    occupancy = np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
-                if self.mode == "scale" and alpha is not None:
-                    occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
-                cells[rows] = value_of(occupancy)
-        return cells
+            light, white, alpha = _lightness(picture)
+        # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
+        if self.mode == "trinary" and alpha is not None:
+            light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
+        if self.mode == "raw":
+            percent = np.rint(_RAW_WHITE * light / white)
+            return np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
+        occupancy = (light if self.negate else white - light) / white
+        if self.mode == "scale" and alpha is not None:
+            return np.where(alpha == OPAQUE, occupancy, np.nan)
+        return occupancy
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
         """Return which pixels are free: row 0 is the top row."""
+        occupancy = self.occupancy()
         # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
-        if unknown_is_free:
-            return self.cells(lambda occupancy: ~(occupancy > self.occupied_thresh), bool)
-        return self.cells(lambda occupancy: occupancy < self.free_thresh, bool)
+        return ~(occupancy > self.occupied_thresh) if unknown_is_free else occupancy < self.free_thresh
 
-    def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
+    def occupancy_grid(self) -> Float[np.ndarray, "rows columns"]:
+        """Return the values of ROS's ``OccupancyGrid`` of all pixels, 0 to 100 or -1; row 0 is the top row."""
+        occupancy = self.occupancy()
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":
