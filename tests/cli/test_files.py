@@ -145,7 +145,7 @@ def test_demo_writes_and_prints_all_files(tmp_path, monkeypatch):
     for name, value in small.items():
         monkeypatch.setattr(f"plr_jax.cli.demo.{name}", value)
     printed = done("demo", "--output", tmp_path / "new" / "folder")
-    files = "maze.plr maze.html four_rooms.html four_rooms.gif four_rooms_distances.html".split()
+    files = ["maze.plr", "maze.html", "four_rooms.html", "four_rooms.gif", "four_rooms_distances.html"]
     files += [f"maze_{kind}.png" for kind in ("distance", "cells", "error", "surface")]
     for name in files:
         path = tmp_path / "new" / "folder" / name
