@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
-from plr_jax.geometry.boundary import triangulate
+from plr_jax.geometry.boundary import polygons_of, triangulate
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.workspace import Workspace, joined_parts
 from plr_jax.plot._axes import (
@@ -97,13 +97,11 @@ def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[n
 
 
 def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
-    parts = shapely.get_parts(shapely.intersection(shapely.Polygon(cell), workspace.free_space))
     solid: list[Corners] = []
-    for part in parts:
-        if part.geom_type == "Polygon" and not part.is_empty:
-            # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
-            has_holes = shapely.get_num_interior_rings(part) > 0
-            solid += list(triangulate(part)) if has_holes else [shapely.get_coordinates(part)[:-1]]
+    for part in polygons_of(shapely.intersection(shapely.Polygon(cell), workspace.free_space)):
+        # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
+        has_holes = shapely.get_num_interior_rings(part) > 0
+        solid += list(triangulate(part)) if has_holes else [shapely.get_coordinates(part)[:-1]]
     return solid
 
 
@@ -123,10 +121,9 @@ def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
         ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
 
 
-def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
+def blocked_polygons(workspace: Workspace) -> tuple[shapely.Polygon, ...]:
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
-    return [polygon for polygon in shapely.get_parts(blocked) if polygon.geom_type == "Polygon"]
+    return polygons_of(shapely.intersection(bounds, shapely.union_all(workspace.obstacles)))
 
 
 def plot_contours(
