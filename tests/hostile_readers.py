@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, TiffImagePlugin
+from PIL import Image
 from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
 
 import plr_jax
@@ -128,16 +128,6 @@ def _picture_files() -> list[bytes]:
     return [written(kind, mode) for kind in modes for mode in modes[kind]]
 
 
-def _factor_files() -> list[bytes]:
-    info = TiffImagePlugin.ImageFileDirectory_v2()
-    for tag, kind, value in ((33550, 12, (0.5, 0.5, 0.0)), (33922, 12, (0.0, 0.0, 0.0, 10.0, 5e6, 0.0))):
-        info.tagtype[tag], info[tag] = kind, value
-    info[34735], info.tagtype[42113], info[42113] = (1, 1, 0, 1, 1025, 0, 1, 2), 2, "-9999"
-    factors = np.random.default_rng(0).uniform(0.5, 3, (9, 12)).astype(np.float32)
-    Image.fromarray(factors).save(buffer := io.BytesIO(), "TIFF", tiffinfo=info)
-    return [buffer.getvalue()]
-
-
 def _with_checksums(data: bytes) -> bytes:
     """Repair the checksums of all chunks if a picture is a PNG."""
     result, rest = data[:8], data[8:]
@@ -211,7 +201,6 @@ READERS = {
     "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
     "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", lambda: [*map(_cost_map_of, _MODES)]),
     "picture of costs": Reader(_read_cost_map_of_picture, ".pgm", _picture_files, _with_checksums),
-    "TIFF of factors": Reader(scenes.read_cost_map, ".tif", _factor_files, bytes),
     "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
     "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()]),

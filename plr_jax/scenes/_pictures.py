@@ -35,17 +35,11 @@ _MOST_DECODED = 3 * 2**24  # bytes of all decoded pixels
 _SMALL = 2**22  # pixels that a file of any size may have
 _PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger pictures
 _BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
-_NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
-_NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
 OPAQUE = 255  # largest value of an alpha channel
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
-# Tags of TIFF, two of their values, and tags of GeoTIFF.
+# Tags of TIFF, and two of their values.
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339
 _BLACK_IS_ZERO, _SIGNED = 1, 2  # of _PHOTOMETRIC and of _SAMPLE_FORMAT
-_PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
-# Entries of _GEO_KEYS: the key, the tag that holds its value (0: this entry), the number of values, and the value.
-_PIXEL_IS_POINT = [1025, 0, 1, 2]  # raster coordinates refer to pixel centers
-_IS_GEOGRAPHIC = [1024, 0, 1, 2]  # coordinates are longitudes and latitudes
 
 
 def read_image(
@@ -87,8 +81,8 @@ def read_image(
 
 
 @contextmanager
-def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
-    """Open a picture, check it, and turn it upright; ``numbers`` also allows a TIFF with one channel of numbers.
+def open_picture(path: Path) -> Iterator["Image"]:
+    """Open a picture, check it, and turn it upright.
 
     ``ValueError`` is raised if the file is no picture, is damaged or too large, or Pillow does not decode its pixels
     reliably.
@@ -104,13 +98,11 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
         try:
             picture = Image.open(file, formats=_FORMATS)
         except Exception as error:  # Pillow's decoders raise any kind of error
-            expected = f"a TIFF of {_NUMBERS}" if numbers else f"a picture ({', '.join(_FORMATS)})"
-            raise ValueError(f"expected {expected}, got something else ({error}).") from None
+            raise ValueError(f"expected a picture ({', '.join(_FORMATS)}), got something else ({error}).") from None
         with picture:
             # 2. Reject pictures that take too much memory, before any pixel is decoded.
             _require_limits(picture, num_bytes)
-            if not (numbers and picture.mode in _NUMBER_MODES):
-                _require_plain(picture, numbers)  # also scales the transparent gray
+            _require_plain(picture)  # also scales the transparent gray
             # 3. Decode the pixels, and apply the orientation that the file states.
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
@@ -132,7 +124,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
         raise ValueError(f"expected {limit}, got {size}: it is damaged, or nearly all of one color; crop it.")
 
 
-def _require_plain(picture: Any, numbers: bool) -> None:
+def _require_plain(picture: Any) -> None:
     """Raise a ``ValueError`` if Pillow does not decode the lightness or opacity of a picture reliably.
 
     In PNG files of 2 or 4 bits, Pillow scales gray pixels to 8 bits, but not the gray that counts as transparent:
@@ -146,7 +138,7 @@ def _require_plain(picture: Any, numbers: bool) -> None:
     if picture.mode == "F" or not is_plain:
         raise ValueError(
             "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels: "
-            f"save it in 8 bits{'' if numbers else ' for a map of walls; scenes.read_cost_map reads costs'}."
+            "save it in 8 bits for a map of walls; for costs use RasterCost of what rioxarray.open_rasterio reads."
         )
     # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
     if picture.tile and "transparency" in picture.info:
@@ -220,9 +212,9 @@ def read_cost_map(
     unknown_is_free: bool = False,
     interpolation: str = "bilinear",
 ) -> "RasterCost":
-    """Read a map of ROS's ``map_server``, or a TIFF of cost factors, as a cost map in the frame of the map.
+    """Read a map of ROS's ``map_server`` as a cost map in the frame of the map.
 
-    Pixels of a ``.yaml`` map, in meters and without rotation, become values of an occupancy grid, by mode:
+    Pixels of the map, in meters and without rotation, become values of an occupancy grid, by mode:
 
     - ``trinary``: 0 where :func:`read_map_server` finds free pixels, 100 where occupied, -1 where unknown.
     - ``scale``: as ``trinary``, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels
@@ -231,25 +223,16 @@ def read_cost_map(
 
     Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
     adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF.
-
-    Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
-    factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
-    (OGC standard 1.1, 2019) lies where its tags say, in its own units; a warning tells if these are degrees. In other
-    TIFFs a pixel has side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the file's first row has
-    the highest y.
+    :meth:`RasterCost.from_occupancy_grid`. For a GeoTIFF of cost factors, use
+    ``RasterCost(rioxarray.open_rasterio(path, masked=True).squeeze("band"))``.
 
     Raises:
-        ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
-            blocked, or an option is not for this kind of file.
+        ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, or all cells are
+            blocked.
     """
     with errors_named(path) as file:
         from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
 
-        if file.suffix.lower() in (".tif", ".tiff"):
-            if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
-                raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
-            return RasterCost(*_read_factors(file), interpolation)
         map_server = _MapServer.read(file)
         x, y, yaw = map_server.origin
         if yaw != 0:
@@ -261,49 +244,6 @@ def read_cost_map(
         return RasterCost.from_occupancy_grid(
             grid, ((x, y), hi), cost_travel_multiplier=cost_travel_multiplier, **options
         )
-
-
-def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[Any, Any]]:
-    """Read a TIFF of cost factors: the factors, lowest row first, ``inf`` where blocked, and the raster's corners."""
-    with open_picture(path, numbers=True) as picture:
-        if picture.mode not in _NUMBER_MODES:
-            advice = "For a map of map_server give its .yaml file."
-            raise ValueError(f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. {advice}")
-        tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
-        factors = np.array(picture, np.float64)[::-1]
-    # 1. Block cells without data. Floats were rounded to 32 bits when they were written.
-    no_data = float(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))
-    with np.errstate(over="ignore"):
-        factors[factors == (float(np.float32(no_data)) if picture.mode == "F" else no_data)] = np.inf
-    # 2. Locate the raster by the tie point: `column` and `row`, counted from the upper left corner of the raster, lie
-    #    at (x, y) of the map.
-    #      +-----------+    x = lo_x + column * along_x
-    #      | o (x, y)  |    y = lo_y + (rows - row) * along_y, since rows count downward
-    #      |           |
-    #     lo-----------+
-    if _TRANSFORMATION in tags:
-        raise ValueError("expected a GeoTIFF whose rows lie along x, got a transformation: rotate the picture.")
-    rows, columns = factors.shape
-    column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))  # by default lo is at (0, 0)
-    sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
-    along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
-    keys = np.ravel(tags.get(_GEO_KEYS, ()))
-    keys = keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist()
-    if _PIXEL_IS_POINT in keys:  # they are counted from the center of the upper left pixel, not from its corner
-        column, row = column + 0.5, row + 0.5
-    if _IS_GEOGRAPHIC in keys:
-        warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=3)
-    lo = x - column * along_x, y - (rows - row) * along_y
-    require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
-    return factors, (lo, (lo[0] + columns * along_x, lo[1] + rows * along_y))
-
-
-def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
-    """Return the numbers of a tag of TIFF, finite and as many as in ``default``, which stands for a missing tag."""
-    values = tags.get(tag, default)
-    if not isinstance(values, tuple) or len(values) != len(default) or not np.isfinite(values).all():
-        raise ValueError(f"expected {len(default)} finite numbers in the tag {tag}, got {shortened(values)}.")
-    return values
 
 
 @dataclass(frozen=True, eq=False)
