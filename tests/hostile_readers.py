@@ -7,13 +7,12 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
-from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
+from volume_files import VOXELS, array_files
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
@@ -188,7 +187,6 @@ def _read_cost_map_of_picture(path: Path) -> Any:
         file.unlink()
 
 
-_read_mesh = partial(scenes.read_volume, pitch=0.25)
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
@@ -203,9 +201,6 @@ READERS = {
     "picture of costs": Reader(_read_cost_map_of_picture, ".pgm", _picture_files, _with_checksums),
     "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
-    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()]),
-    "PLY": Reader(_read_mesh, ".ply", ply_files),
-    "STL": Reader(_read_mesh, ".stl", stl_files),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
