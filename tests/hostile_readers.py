@@ -29,7 +29,6 @@ map
 @.@@...WW..@
 @@@@@@@@@@@@
 """
-_QUERIES = "version 1\n" + "".join(f"{i}\tgrid.map\t12\t8\t1\t{1 + i}\t{10 - i}\t4\t{9.5 + i}\n" for i in range(4))
 _CRC = struct.Struct("<I")
 _SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 _POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
@@ -192,7 +191,6 @@ READERS = {
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
     "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
-    "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [_GEOJSON.encode()]),
     "WKT": Reader(scenes.read_wkt, ".wkt", lambda: [_WKT.encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
