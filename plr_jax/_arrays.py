@@ -163,12 +163,7 @@ def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
 
     No entry may be masked. Return the result as an array.
     """
-    booleans = np.asarray(value)
-    if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
-        masked = ", some masked" if np.ma.is_masked(value) else ""
-        got = f"{booleans.dtype} of shape {booleans.shape}{masked}"
-        raise ValueError(f"{name} must give one boolean per point, shape ({n},), got {got}.")
-    return booleans
+    return as_cells(f"{name} must give one boolean per point, shape ({n},)", value, (n,).__eq__)
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:

@@ -11,6 +11,12 @@ def drawn(*rows):
     return np.array([[letter == "." for letter in row] for row in rows])
 
 
+def published_queries(path):
+    """Return the starts, goals and octile lengths of a ``.scen`` file of Moving AI."""
+    table = np.loadtxt(path, skiprows=1, usecols=range(4, 9))
+    return table[:, :2], table[:, 2:4], table[:, 4]
+
+
 def all_pairs(free):
     """Return every pair of a free cell and any cell, as points."""
     cells = np.argwhere(np.ones_like(free))[:, ::-1].astype(float)

@@ -7,14 +7,13 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pair_helpers import serpentine
-from PIL import Image, TiffImagePlugin
-from volume_files import OBJ, VOXELS, array_files, ply_files, stl_files
+from PIL import Image
+from volume_files import VOXELS, array_files
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
@@ -29,7 +28,6 @@ map
 @.@@...WW..@
 @@@@@@@@@@@@
 """
-_QUERIES = "version 1\n" + "".join(f"{i}\tgrid.map\t12\t8\t1\t{1 + i}\t{10 - i}\t4\t{9.5 + i}\n" for i in range(4))
 _CRC = struct.Struct("<I")
 _SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 _POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
@@ -119,16 +117,6 @@ def _picture_files() -> list[bytes]:
     return [written(kind, mode) for kind in modes for mode in modes[kind]]
 
 
-def _factor_files() -> list[bytes]:
-    info = TiffImagePlugin.ImageFileDirectory_v2()
-    for tag, kind, value in ((33550, 12, (0.5, 0.5, 0.0)), (33922, 12, (0.0, 0.0, 0.0, 10.0, 5e6, 0.0))):
-        info.tagtype[tag], info[tag] = kind, value
-    info[34735], info.tagtype[42113], info[42113] = (1, 1, 0, 1, 1025, 0, 1, 2), 2, "-9999"
-    factors = np.random.default_rng(0).uniform(0.5, 3, (9, 12)).astype(np.float32)
-    Image.fromarray(factors).save(buffer := io.BytesIO(), "TIFF", tiffinfo=info)
-    return [buffer.getvalue()]
-
-
 def _with_checksums(data: bytes) -> bytes:
     """Repair the checksums of all chunks if a picture is a PNG."""
     result, rest = data[:8], data[8:]
@@ -189,25 +177,19 @@ def _read_cost_map_of_picture(path: Path) -> Any:
         file.unlink()
 
 
-_read_mesh = partial(scenes.read_volume, pitch=0.25)
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
     "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
-    "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
     "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [_GEOJSON.encode()]),
     "WKT": Reader(scenes.read_wkt, ".wkt", lambda: [_WKT.encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),
     "cost map": Reader(_with_picture(scenes.read_cost_map), ".yaml", lambda: [*map(_cost_map_of, _MODES)]),
     "picture of costs": Reader(_read_cost_map_of_picture, ".pgm", _picture_files, _with_checksums),
-    "TIFF of factors": Reader(scenes.read_cost_map, ".tif", _factor_files, bytes),
     "array": Reader(scenes.read_volume, ".npy", array_files, bytes),
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
-    "OBJ": Reader(_read_mesh, ".obj", lambda: [OBJ.encode()]),
-    "PLY": Reader(_read_mesh, ".ply", ply_files),
-    "STL": Reader(_read_mesh, ".stl", stl_files),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),

@@ -133,7 +133,7 @@ def plot(
     content = load(file)
     plr = _distance_of(content, file, goal)
     if plr.domain.dim != 2:
-        raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plr_jax.plot.slices.")
+        raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plot_contours with at=.")
     if not isinstance(plr, PLR) and kind != "distance":
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
     # 2. Read the map, and draw.

@@ -34,15 +34,18 @@ Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Outlines of areas of free pixels, as closed rings of vertices with the free pixels on the left."""
+    """Outlines of areas of free pixels: simple rings of corners with the free pixels on the left."""
 
     points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
     start: Int[np.ndarray, " rings_and_1"]
-    is_contact: Bool[np.ndarray, " n"]  # whether two diagonal free pixels touch there: rings pass the corner twice
+    is_contact: Bool[np.ndarray, " n"]  # whether two rings meet at a corner, between free pixels
 
 
-def pixel_rings(free: Mask) -> PixelRings:
-    """Return the outlines of the free pixels, in units of pixels."""
+def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
+    """Return the free pixels as Shapely polygons, and whether free pixels touch only diagonally at lattice points.
+
+    Polygons have coordinates ``(row, column)``, and rings that begin at the least corner, shells clockwise.
+    """
     # 1. Find the corners: lattice points at which an odd number of the four pixels is free, or two opposite ones are.
     padded = np.pad(free, 1)
     lower_left, lower_right = padded[:-1, :-1], padded[:-1, 1:]
@@ -54,36 +57,15 @@ def pixel_rings(free: Mask) -> PixelRings:
             f"The outline of the pixels may have at most {_MOST_CORNERS:,} corners, got {count:,}: smooth the "
             "picture, or drop its specks."
         )
-    # 2. Sort the corners by row. A contact is two corners: the end of one horizontal run, then the start of the next.
-    y, x = np.nonzero(is_corner)
-    repeats = np.where(touches[y, x], 2, 1)
-    is_contact = np.repeat(repeats == 2, repeats)
-    is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), repeats)) == 0))
-    x, y = np.repeat(x, repeats), np.repeat(y, repeats)
-    # 3. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs. In column order, corners 0 and
-    #    1, 2 and 3, ... are the ends of vertical runs. So the run of corner i ends at i ^ 1. A ring turns around its
-    #    free pixel: at a contact, it goes from the left run down if the pixel on the lower left is free, else up.
-    other_end = np.arange(len(x)) ^ 1
-    goes_down = padded[y, x]
-    columns = np.lexsort((is_second == goes_down, y, x))
-    along_y = np.empty_like(columns)
-    along_y[columns] = columns[other_end]
-    # 4. Choose whether a ring leaves a corner along its horizontal or its vertical run. Free space is on the left, so
-    #    rings go right along runs with free pixels above them, and left along all other runs.
-    is_left_end = np.arange(len(x)) % 2 == 0
-    column = x + np.where(is_left_end, 0, -1)  # of the pixels beside the run
-    is_free_above = padded[y + 1, column + 1]
-    follower = np.where(is_left_end == is_free_above, other_end, along_y)
-    # 5. Collect the cycles of followers, each from its smallest corner on. Visited corners get the follower -1.
-    onward, order, start = follower.tolist(), [], []
-    for corner in range(len(onward)):
-        if onward[corner] >= 0:
-            start.append(len(order))
-        while onward[corner] >= 0:
-            order.append(corner)
-            onward[corner], corner = -1, onward[corner]
-    order, start = np.array(order, dtype=np.int64), np.array([*start, len(order)], dtype=np.int64)
-    return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
+    # 2. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs of the outlines. In column order,
+    #    they are the ends of vertical runs. A contact counts twice: it ends one run and starts the next.
+    corner = np.repeat(np.argwhere(is_corner), 1 + touches[is_corner], axis=0)  # (row, column)
+    by_column = corner[np.argsort(corner[:, 1], kind="stable")]
+    runs: Any = shapely.linestrings(np.concatenate([corner, by_column]).reshape(-1, 2, 2))
+    # 3. Keep the faces between the runs whose first pixel, above and right of the least corner, is free.
+    faces: Any = shapely.normalize(shapely.get_parts(shapely.polygonize(runs)))
+    least = shapely.get_coordinates(shapely.get_point(shapely.get_exterior_ring(faces), 0)).astype(int)
+    return faces[free[tuple(least.T)]], touches
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +150,7 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
     ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])  # the next run
     turn = np.empty(len(ring))  # at the start of each run
     turn[ahead] = np.sign(cross_product(along, along[ahead]))
+    turn[outlines.is_contact[corner]] = 1.0  # as around the free pixel, whichever run the ring goes on along
     is_kept = np.ones(len(source), dtype=bool)
     is_kept[of_corner + 1] = turn != turn[ahead]
     index = np.cumsum(is_kept) - 1
@@ -335,23 +318,20 @@ def as_mask(free: ArrayLike) -> Mask:
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     """Return the free pixels as a Shapely MultiPolygon in pixel units, simplified to ``tolerance`` pixels."""
-    # 1. Find the component, numbered from 1, of the free pixel on the left of each ring's first run. The pixel's
-    #    center is half a unit ahead of the run's start, and half a unit to its left.
-    outlines = pixel_rings(free)
-    begin = outlines.points[outlines.start[:-1]].astype(int)
-    ahead = np.sign(outlines.points[outlines.start[:-1] + 1].astype(int) - begin)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    column, row = (begin + (ahead + left - 1) // 2).T
-    # 2. Simplify the rings, and split them into loops that do not touch themselves.
-    loops, ring = _simple_loops(simplified(outlines, tolerance))
-    component = _labels(free)[row, column][ring]
-    # 3. The one counterclockwise loop of a component is its shell; its other loops are holes.
-    is_outer = shapely.is_ccw(loops)
-    shells = loops[is_outer][np.argsort(component[is_outer])]
-    holes, of_hole = loops[~is_outer], component[~is_outer]
-    order = np.argsort(of_hole, kind="stable")
-    holes = np.split(holes[order], np.searchsorted(of_hole[order], np.arange(2, len(shells) + 1)))
-    return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
+    # 1. Split the polygons into rings of points (x, y), without the last point, which repeats the first.
+    polygons, touches = _free_polygons(free)
+    rings, polygon = shapely.get_rings(polygons, return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    is_repeated = np.append(ring[1:] != ring[:-1], True)
+    points = points[~is_repeated]
+    start = np.append(0, np.cumsum(np.bincount(ring) - 1))
+    outlines = PixelRings(points[:, ::-1], start, touches[tuple(points.astype(int).T)])
+    # 2. Simplify the rings, and join them to polygons again. The first ring of each polygon is its shell.
+    outlines = simplified(outlines, tolerance)
+    ring, _ = ragged_indices(np.diff(outlines.start))
+    loops: Any = shapely.linearrings(outlines.points, indices=ring)
+    groups = np.split(loops, np.flatnonzero(np.diff(polygon)) + 1)
+    return MultiPolygon([Polygon(group[0], group[1:]) for group in groups])
 
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:
@@ -359,59 +339,12 @@ def without_specks(free: Mask, num_pixels: int) -> Mask:
 
     Blocked pixels are 8-connected, free pixels 4-connected.
     """
+    import scipy.ndimage  # slow to import, and most workspaces do not need it
+
     for value, structure in ((False, np.ones((3, 3), bool)), (True, None)):
-        label = _labels(free == value, structure)
+        labeling: Any = scipy.ndimage.label(free == value, structure)
+        label = labeling[0]
         is_small = np.bincount(label.ravel()) <= num_pixels
         is_small[0] = False
         free = free ^ is_small[label]
     return free
-
-
-def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:
-    import scipy.ndimage  # slow to import, and most workspaces do not need it
-
-    labeling: Any = scipy.ndimage.label(pixels, structure)
-    return labeling[0]
-
-
-def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
-    """Split rings where they touch themselves, and return the loops as Shapely rings.
-
-    Also return, for each loop, the index of the ring from which it was split.
-    """
-    # 1. Number the loop of each point. The first loop of a ring has the ring's number, its other loops get new ones.
-    num_loops = len(rings.start) - 1
-    ring = np.repeat(np.arange(num_loops), np.diff(rings.start))
-    loop, order = ring.copy(), np.arange(len(rings.points))
-    for i in np.unique(ring[rings.is_contact]).tolist():
-        begin, end = rings.start[i], rings.start[i + 1]
-        parts = _loops_of(rings.points[begin:end], rings.is_contact[begin:end])
-        order[begin:end] = begin + np.concatenate(parts)
-        loop[begin:end] = np.repeat([i, *range(num_loops, num_loops + len(parts) - 1)], [len(part) for part in parts])
-        num_loops += len(parts) - 1
-    # 2. Make rings of the points sorted by loop.
-    sorted_by_loop = np.argsort(loop, kind="stable")
-    loops: Any = shapely.linearrings(rings.points[order][sorted_by_loop], indices=loop[sorted_by_loop])
-    ring_of_loop = np.empty(num_loops, dtype=int)
-    ring_of_loop[loop] = ring
-    return loops, ring_of_loop
-
-
-def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, " n"]) -> list[list[int]]:
-    """Split a ring of ``points`` into loops at contacts: points that the ring passes twice.
-
-    Return the indices of each loop's points.
-    """
-    # Follow the ring. When the path comes to a contact on it again, cut off the loop since then. `place` has the
-    # index in `path` of each contact on it.
-    loops, path, place = [], [], {}
-    for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
-        if meets and point in place:
-            loops.append(path[place[point] :])
-            for j in loops[-1]:
-                place.pop(tuple(points[j].tolist()), None)
-            path = path[: -len(loops[-1])]
-        if meets:
-            place[point] = len(path)
-        path.append(i)
-    return [*loops, path]

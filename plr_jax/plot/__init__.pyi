@@ -11,4 +11,3 @@ from ._plane import plot_contours as plot_contours
 from ._plane import plot_error as plot_error
 from ._plane import plot_surface as plot_surface
 from ._plane import plot_workspace as plot_workspace
-from ._slices import slices as slices

@@ -208,44 +208,26 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
     for i in range(len(problem.robots)):
         ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
         add_goal(ax, problem, i, zorder=_GOAL)
-    actors = [_Actor(ax, problem, i) for i in range(len(problem.robots))]
     figure = ax.figure.canvas.figure
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     background = canvas.copy_from_bbox(figure.bbox)
-    # 2. For each frame, move the artists, and draw only them on a copy of the background.
+    # 2. For each frame, draw trails, bodies and numbers on a copy of the background, and remove them again.
     for time in np.linspace(0.0, motion.duration, animation.num_frames):
         so_far = motion.between(0.0, float(time))
-        for i, actor in enumerate(actors):
-            actor.play(so_far[:, i])
         canvas.restore_region(background)
-        for artist in sorted((a for actor in actors for a in actor.artists), key=Artist.get_zorder):
+        artists = [artist for i in range(len(problem.robots)) for artist in _add_robot(ax, problem, i, so_far[:, i])]
+        for artist in sorted(artists, key=Artist.get_zorder):
             ax.draw_artist(artist)
+            artist.remove()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-class _Actor:
-    """The moving artists of one robot in an animation: body, heading bar, number and trail."""
-
-    def __init__(self, ax: Axes, problem: Problem, i: int):
-        q = problem.starts[i]
-        bounds = problem.workspace.bounds
-        self.robot = problem.robots[i]
-        self.outline = body_outline(self.robot, bounds)
-        (self.trail,) = ax.plot([], [], color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
-        self.body, self.bar = add_body(ax, problem, i, q)
-        self.nose = heading_bar(self.robot, bounds)
-        self.number = add_number(ax, i, q[:2], ink_on(color_of(i)))
-        self.number.set_visible(2 * self.robot.inscribed_radius >= 0.75 * number_size(ax, i))
-        self.artists = [a for a in (self.trail, self.body, self.bar, self.number) if a is not None]
-        for artist in self.artists:
-            artist.set_animated(True)
-
-    def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
-        """Show the robot at the last configuration of ``so_far``, its path so far, which is drawn as the trail."""
-        q = so_far[-1]
-        self.trail.set_data(*so_far[:, :2].T)
-        self.body.set_xy(placed(self.robot, self.outline, q))
-        self.number.set_position(tuple(q[:2]))
-        if self.bar is not None:
-            self.bar.set_data(*placed(self.robot, self.nose, q).T)
+def _add_robot(ax: Axes, problem: Problem, i: int, so_far: Float[np.ndarray, "steps dof"]) -> list[Artist]:
+    """Add robot ``i`` at the end of its path so far, with a trail along the path, and its number if there is room."""
+    q = so_far[-1]
+    trail = ax.plot(*so_far[:, :2].T, color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
+    artists = [*trail, *add_body(ax, problem, i, q)]
+    if 2 * problem.robots[i].inscribed_radius >= 0.75 * number_size(ax, i):
+        artists.append(add_number(ax, i, q[:2], ink_on(color_of(i))))
+    return artists

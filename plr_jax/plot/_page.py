@@ -118,7 +118,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     if not isinstance(source, PLR | PairPLR):
         raise ValueError(f"A page needs a PLR or a PairPLR in the plane, got {shortened(source)}.")
     if source.domain.dim != 2:
-        raise ValueError(f"A page needs a PLR of 2 axes, got one of {source.domain.dim}: use plr_jax.plot.slices.")
+        raise ValueError(f"A page needs a PLR of 2 axes, got one of {source.domain.dim}: use plot_contours.")
     if not isinstance(workspace, Workspace | None):
         raise ValueError(f"workspace must be a Workspace whose walls are drawn, or None, got {shortened(workspace)}.")
     # 1. Write what field.js shows as JavaScript: name and walls, and the function. Pairs and plain cones are files,

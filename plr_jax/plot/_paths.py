@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from jaxtyping import Float
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
@@ -141,16 +141,15 @@ def outline(robot: Robot, q: Float[np.ndarray, " dof"], bounds: Box) -> Float[np
     return placed(robot, body_outline(robot, bounds), q)
 
 
-def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, " dof"]) -> tuple[Polygon, Line2D | None]:
+def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, " dof"]) -> list[Artist]:
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
     body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
     ax.add_patch(body)
     if robot.dof == 2:
-        return body, None
+        return [body]
     ends = placed(robot, heading_bar(robot, problem.workspace.bounds), q)
-    (bar,) = ax.plot(ends[:, 0], ends[:, 1], color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)
-    return body, bar
+    return [body, *ax.plot(*ends.T, color=ink_on(color), linewidth=1.1, zorder=BODY + 0.1)]
 
 
 def add_goal(ax: Axes, problem: Problem, i: int, zorder: float = BODY) -> None:

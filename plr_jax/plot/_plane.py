@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
-from plr_jax.geometry.boundary import triangulate
+from plr_jax.geometry.boundary import polygons_of, triangulate
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.workspace import Workspace, joined_parts
 from plr_jax.plot._axes import (
@@ -40,6 +40,7 @@ Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 _CELL_COLOR = "#6e6e6e"
 OBSTACLE = "#ececec"
 _ERROR_COLORS = "inferno"
+_NUM_LEVELS = 16  # of contours, at most
 _ERROR_RANGE = 1e-3  # smallest error of the color scale, as a share of the largest
 
 
@@ -100,13 +101,11 @@ def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[n
 
 
 def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
-    parts = shapely.get_parts(shapely.intersection(shapely.Polygon(cell), workspace.free_space))
     solid: list[Corners] = []
-    for part in parts:
-        if part.geom_type == "Polygon" and not part.is_empty:
-            # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
-            has_holes = shapely.get_num_interior_rings(part) > 0
-            solid += list(triangulate(part)) if has_holes else [shapely.get_coordinates(part)[:-1]]
+    for part in polygons_of(shapely.intersection(shapely.Polygon(cell), workspace.free_space)):
+        # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
+        has_holes = shapely.get_num_interior_rings(part) > 0
+        solid += list(triangulate(part)) if has_holes else [shapely.get_coordinates(part)[:-1]]
     return solid
 
 
@@ -126,10 +125,9 @@ def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
         ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
 
 
-def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
+def blocked_polygons(workspace: Workspace) -> tuple[shapely.Polygon, ...]:
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
-    return [polygon for polygon in shapely.get_parts(blocked) if polygon.geom_type == "Polygon"]
+    return polygons_of(shapely.intersection(bounds, shapely.union_all(workspace.obstacles)))
 
 
 def plot_contours(
@@ -165,12 +163,12 @@ def plot_contours(
             or no point has a finite value.
     """
     shown = Slice.of(plr.domain, at)
-    require_drawable(shown, workspace, space)
+    _require_drawable(shown, workspace, space)
     ax = prepare_axes(ax, shown)
     # 1. Evaluate a grid of points.
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
-    is_free = free_points(points, shown, workspace, space)
+    is_free = _free_points(points, shown, workspace, space)
     # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
     goals: Any = None
     cut_off = []
@@ -181,52 +179,32 @@ def plot_contours(
             reached, cut_off = _split_by_reachability(workspace, goals)
             if cut_off:
                 is_free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
-    # 3. Draw. Values inside obstacles are drawn and then covered, so that colors reach the walls; they do not affect
-    #    the color scale.
+    # 3. Draw values. Those inside obstacles are covered later, so that colors reach the walls; they do not affect the
+    #    color scale.
     free_values = values[is_free]
     if not free_values.count():
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
-    image = draw_values(ax, shown, points, values, float(free_values.max()), 16, None if space is None else ~is_free)
+    largest = float(free_values.max())
+    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
+    x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
+    has_lines = min(values.shape) > 1  # Matplotlib draws contours only of two rows and two columns or more
+    if has_lines and largest > 0:
+        levels = MaxNLocator(_NUM_LEVELS).tick_values(0.0, largest)[1:]
+        ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.8)
+    # 4. Cover what is not free.
+    if space is not None and not is_free.all():
+        gray = np.ma.masked_where(is_free, np.ones(is_free.shape))
+        _add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), Normalize(0.0, 1.0)).set_zorder(3)
+        if has_lines:
+            ax.contour(x, y, ~is_free, levels=[0.5], colors=INK, linewidths=0.6, zorder=3.5)
     if workspace is not None:
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
     if goals is not None:
-        mark_goals(ax, goals)
+        ax.plot(*goals.T, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
     add_colorbar(ax, image, f"{label} ({unit})")
     return ax
-
-
-def draw_values(
-    ax: Axes,
-    shown: Slice,
-    points: Float[np.ndarray, "rows columns dim"],
-    values: np.ma.MaskedArray,
-    largest: float,
-    num_levels: int,
-    closed: Bool[np.ndarray, "rows columns"] | None,
-) -> AxesImage:
-    """Draw ``values`` at the ``points`` of the slice ``shown``, and return the image of their colors.
-
-    Colors range from 0 to ``largest``. At most ``num_levels`` contour lines are added. Gray covers the points where
-    ``closed`` is True.
-    """
-    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
-    x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
-    has_lines = min(values.shape) > 1  # Matplotlib draws contours only of two rows and two columns or more
-    if has_lines and largest > 0 and values.count():
-        levels = MaxNLocator(num_levels).tick_values(0.0, largest)[1:]
-        ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.8)
-    if closed is not None and closed.any():
-        gray = np.ma.masked_where(~closed, np.ones(closed.shape))
-        _add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), Normalize(0.0, 1.0)).set_zorder(3)
-        if has_lines and not closed.all():
-            ax.contour(x, y, closed, levels=[0.5], colors=INK, linewidths=0.6, zorder=3.5)
-    return image
-
-
-def mark_goals(ax: Axes, goals: Float[np.ndarray, "goals 2"]) -> None:
-    ax.plot(*goals.T, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
 
 
 def plot_cells(
@@ -239,7 +217,7 @@ def plot_cells(
 ) -> Axes:
     """Draw the boxes of a PLR's leaves as rectangles; arguments and errors are as for :func:`plot_contours`."""
     shown = Slice.of(plr.domain, at)
-    require_drawable(shown, workspace, None)
+    _require_drawable(shown, workspace, None)
     ax = prepare_axes(ax, shown, room_for_colorbar=False)
     cells = _cells_of(plr, shown)
     closed = np.concatenate([cells, cells[:, :1]], axis=1)
@@ -296,11 +274,8 @@ def plot_error(
     return ax
 
 
-def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Raise a ``ValueError`` if a slice does not fit the workspace or the space, or if both are given.
-
-    A workspace needs a slice along axes 0 and 1; a space must have as many dimensions as the slice's domain.
-    """
+def _require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
+    """Raise a ``ValueError`` unless a slice is one of the workspace, or of the space, and not both are given."""
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave it out.")
     if workspace is not None and space is not None:
@@ -309,7 +284,7 @@ def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest 
         raise ValueError(f"Expected a space of {shown.domain.dim} dimensions, got {space.domain.dim}.")
 
 
-def free_points(
+def _free_points(
     points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
 ) -> Bool[np.ndarray, "rows columns"]:
     """Return which points of a slice are free in the workspace or the space; all are free if neither is given."""

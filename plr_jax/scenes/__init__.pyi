@@ -4,10 +4,8 @@ from ._file import save as save
 from ._geojson import read_geojson as read_geojson
 from ._geojson import read_polygons as read_polygons
 from ._geojson import read_wkt as read_wkt
-from ._movingai import Scenario as Scenario
 from ._movingai import read_cells as read_cells
 from ._movingai import read_map as read_map
-from ._movingai import read_scen as read_scen
 from ._pictures import read_cost_map as read_cost_map
 from ._pictures import read_image as read_image
 from ._pictures import read_map_server as read_map_server

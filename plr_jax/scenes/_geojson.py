@@ -1,6 +1,6 @@
 """Read files of polygons as workspaces: JSON files of rings, GeoJSON, and well-known text (WKT)."""
 
-import math
+import json
 import os
 import re
 import warnings
@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseMultipartGeometry
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import as_numbers, shortened
 from plr_jax._files import errors_named, json_of, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import as_polygon
@@ -48,13 +48,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
 
 _DEGREES = np.array([180.0, 90.0])
 _MAX_TOWN = 1.0  # degrees: coordinates that span less may be longitudes and latitudes
-_PARTS_KEY = {
-    "FeatureCollection": "features",
-    "Feature": "geometry",
-    "GeometryCollection": "geometries",
-    "MultiPolygon": "coordinates",
-    "Polygon": "coordinates",
-}  # supported objects, and the key of their parts
+_SUPPORTED = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
+_OTHERS = ("Point", "MultiPoint", "LineString", "MultiLineString")
 # Parts of well-known text that are dropped: in "SRID=4326; POLYGON ZM ((1 2 3 4, ..." the reference "SRID=4326;", the
 # dimensions "ZM", and in each point the altitude 3 and the measure 4.
 _REFERENCE = re.compile(r"(?i)^\s*srid\s*=\s*\d+\s*;")
@@ -62,7 +57,6 @@ _DIMENSIONS = re.compile(r"(?i)([a-z])\s*(?:z|m|zm)\s*(?=\(|empty)")
 _NUMBER = r"\s*[-+]?(?:nan|inf|[\d.]+(?:e[-+]?\d+)?)"
 _ALTITUDES = re.compile(rf"(?i)([(,]{_NUMBER}\s{_NUMBER})(?:\s{_NUMBER}){{1,2}}(?=\s*[,)])")
 _MOST_NESTED = 32  # parentheses of WKT: GEOS parses them by recursion
-_UNSUPPORTED = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
 
 def read_geojson(
@@ -78,8 +72,8 @@ def read_geojson(
     for example to UTM; a warning tells if coordinates look like degrees.
 
     Args:
-        path: A file with a FeatureCollection, a Feature, or a geometry: a polygon, a multipolygon, or a collection of
-            these geometries. Null and empty geometries are skipped, altitudes are dropped.
+        path: A file with a FeatureCollection, a Feature, or a geometry: polygons, multipolygons and collections of
+            them. Features without a geometry, and empty geometries, are skipped; altitudes are dropped.
         polygons: Whether the polygons are obstacles or free space.
         bounds: Bounds of the workspace. None: the file's ``"bbox"``, or else the bounding box of all polygons.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
@@ -90,19 +84,25 @@ def read_geojson(
     """
     path = Path(path)
     with errors_named(path):
+        # 1. Read the polygons. GEOS refuses features without a geometry, which GeoJSON allows.
         document = json_of(path)
         if not is_geojson(document):
-            raise ValueError(f'expected GeoJSON of "type" {", ".join(_PARTS_KEY)}, got {shortened(document)}.')
-        shapes, bbox = list(_polygons(document, "")), document.get("bbox")
-        if bounds is None and bbox is not None:  # [west, south, east, north], or six numbers with altitudes
-            half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
-            if not (half and _is_position(bbox) and _is_position(bbox[half:])):
-                raise ValueError(
-                    'expected "bbox" to be 4 finite numbers, [x0, y0, x1, y1], or 6 with altitudes, '
-                    f"got {shortened(bbox)}."
-                )
-            bounds = bbox[:2], bbox[half : half + 2]
-        return _workspace_of(path, shapes, polygons, bounds, squeeze)
+            raise ValueError(f'expected GeoJSON of "type" {", ".join(_SUPPORTED)}, got {shortened(document)}.')
+        if isinstance(features := document.get("features"), list):
+            is_empty = [isinstance(each, dict) and each.get("geometry", each) is None for each in features]
+            document["features"] = [each for each, skip in zip(features, is_empty, strict=True) if not skip]
+        try:
+            geometry = shapely.from_geojson(json.dumps(document))
+        except shapely.errors.GEOSException as error:
+            raise ValueError(f"expected polygons in GeoJSON, got something else ({error}).") from None
+        # 2. Read the bounds: [west, south, east, north], or six numbers with altitudes.
+        if bounds is None and (bbox := document.get("bbox")) is not None:
+            expected = "4 numbers, [x0, y0, x1, y1], or 6 with altitudes"
+            corners = as_numbers('"bbox"', bbox, expected)
+            if corners.shape not in ((4,), (6,)):
+                raise ValueError(f'"bbox" must be {expected}, got {shortened(bbox)}.')
+            bounds = corners.reshape(2, -1)[:, :2]
+        return _workspace_of(path, geometry, polygons, bounds, squeeze)
 
 
 def read_wkt(
@@ -135,8 +135,7 @@ def read_wkt(
                 f"expected one geometry in WKT, got something else ({error}). Put several geometries into a "
                 "GEOMETRYCOLLECTION."
             ) from None
-        shapes = [as_polygon(f"polygon {i}", part) for i, part in enumerate(_parts(geometry)) if not part.is_empty]
-        return _workspace_of(path, shapes, polygons, bounds, squeeze)
+        return _workspace_of(path, geometry, polygons, bounds, squeeze)
 
 
 def _parts(geometry: Any) -> Iterator[Any]:
@@ -148,13 +147,15 @@ def _parts(geometry: Any) -> Iterator[Any]:
 
 
 def _workspace_of(
-    path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
+    path: Path, geometry: Any, polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
     """Return a workspace with the obstacles ``shapes``; if ``polygons`` is "free", ``shapes`` are the free space.
 
     If ``bounds`` is None, the bounds are the bounding box of ``shapes``. ``squeeze`` says whether paths may pass
     between obstacles that touch in a point. A warning tells if coordinates look like degrees.
     """
+    parts = enumerate(_parts(shapely.force_2d(geometry)))
+    shapes = [as_polygon(f"polygon {i}", part) for i, part in parts if not part.is_empty]
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
     if not shapes:
@@ -183,61 +184,4 @@ def _workspace_of(
 
 
 def is_geojson(document: Any) -> bool:
-    return isinstance(document, dict) and document.get("type") in (*_PARTS_KEY, *_UNSUPPORTED)
-
-
-def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.MultiPolygon]:
-    """Yield the polygons in a GeoJSON object; ``where`` names the object's place in the file for error messages."""
-    if entry is None:
-        return
-    kind = entry.get("type") if isinstance(entry, dict) else None
-    place = where or "the file"
-    # Empty points and lines are skipped, as empty polygons are.
-    if isinstance(kind, str) and kind in _UNSUPPORTED and not entry.get("coordinates"):
-        return
-    if not isinstance(kind, str) or kind not in _PARTS_KEY:
-        got = shortened(entry if kind is None else kind)
-        raise ValueError(f'{place}: expected an object of "type" {", ".join(_PARTS_KEY)}, got {got}.')
-    key = _PARTS_KEY[kind]
-    if key not in entry:
-        raise ValueError(f'{place}: expected a {kind} to have the key "{key}", got only {", ".join(entry)}.')
-    parts = entry[key]
-    if kind == "Feature":
-        yield from _polygons(parts, f"{where} geometry".strip())
-        return
-    if not isinstance(parts, list | None):
-        raise ValueError(f'{place}: expected "{key}" of a {kind} to be a list, got {shortened(parts)}.')
-    match kind:
-        case "Polygon":
-            yield from _polygon(parts, f"{where} polygon".strip())
-        case "MultiPolygon":
-            for i, rings in enumerate(parts or ()):
-                yield from _polygon(rings, f"{where} polygon {i}".strip())
-        case _:
-            for i, part in enumerate(parts or ()):
-                yield from _polygons(part, f"{where} {key}[{i}]".strip())
-
-
-def _polygon(rings: Any, where: str) -> Iterator[Any]:
-    """Yield the polygon of a list of rings, outer ring first, or nothing if all rings are empty.
-
-    ``where`` names the polygon's place in the file for error messages.
-    """
-    if not isinstance(rings, list | None):
-        raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
-    rings = rings or []
-    nonempty = [ring for ring in rings if ring not in (None, [])]
-    for ring in nonempty:
-        if not (isinstance(ring, list) and len(ring) >= 3 and all(map(_is_position, ring))):
-            expected = "a ring, a list of at least 3 finite points [x, y] of numbers"
-            raise ValueError(f"{where}: expected {expected}, got {shortened(ring)}.")
-    if nonempty and nonempty[0] is not rings[0]:
-        raise ValueError(f"{where}: expected an outer ring before its holes, got an empty one.")
-    if nonempty:
-        outer, *holes = (np.array([point[:2] for point in ring], dtype=np.float64) for ring in nonempty)
-        yield as_polygon(where, shapely.Polygon(outer, holes))
-
-
-def _is_position(value: Any) -> bool:
-    pair = value[:2] if isinstance(value, list) else []
-    return len(pair) == 2 and all(type(along) in (int, float) and math.isfinite(along) for along in pair)
+    return isinstance(document, dict) and document.get("type") in (*_SUPPORTED, *_OTHERS)

@@ -1,10 +1,9 @@
-"""Read grid maps (``.map``) and lists of queries (``.scen``) of the Moving AI benchmarks."""
+"""Readers of grid maps (``.map``) of the Moving AI benchmarks."""
 
 import os
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from plr_jax._arrays import shortened
 from plr_jax._files import errors_named, text_of
@@ -12,7 +11,6 @@ from plr_jax.geometry.workspace import Workspace
 
 _PASSABLE = ".GS"
 _HEADER_LINES = 4
-_SCEN_COLUMNS = 9
 
 
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
@@ -33,7 +31,8 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
     """Read which cells of a Moving AI ``.map`` grid are free, as a boolean array for :class:`GridGraph`.
 
-    Rows are in the order of the file. Cells and errors are as for :func:`read_map`.
+    Rows are in the order of the file. Cells and errors are as for :func:`read_map`. The starts, goals and published
+    lengths of a ``.scen`` file are ``np.loadtxt(path, skiprows=1, usecols=range(4, 9))``.
     """
     with errors_named(path) as file:
         return _passable_cells(text_of(file).splitlines())
@@ -62,53 +61,3 @@ def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
     if not free.any():
         raise ValueError(f"expected at least one passable cell (one of {', '.join(_PASSABLE)}), got none.")
     return free
-
-
-@dataclass(frozen=True, eq=False)
-class Scenario:
-    """The queries of a Moving AI ``.scen`` file, one per row, in the order of the file.
-
-    Attributes:
-        map_name: Name of the map, as given in the file.
-        starts, goals: Points, ``(n, 2)``, as in the file: the corner of each cell with the least ``x`` and ``y``. Add
-            0.5 for the cell's center in the coordinates of :func:`read_map`. For a :class:`GridGraph` of
-            :func:`read_cells`, the corners already select the right cells. In the closed free space, shortest paths
-            between corners may be shorter than between centers.
-        octile_lengths: Published lengths of shortest paths on the 8-connected grid, ``(n,)``, rounded to about six
-            digits. Apart from rounding, a Euclidean shortest path is never longer.
-    """
-
-    map_name: str
-    starts: Float[np.ndarray, "n 2"]
-    goals: Float[np.ndarray, "n 2"]
-    octile_lengths: Float[np.ndarray, " n"]
-
-
-def read_scen(path: str | os.PathLike[str]) -> Scenario:
-    """Read the queries of a Moving AI ``.scen`` file, whose points are corners of cells (see :class:`Scenario`).
-
-    ``ValueError`` is raised if the file is invalid or has no queries.
-    """
-    with errors_named(path) as file:
-        lines = text_of(file).splitlines()
-        if not lines or lines[0].split()[:1] != ["version"]:
-            raise ValueError("expected a Moving AI scenario, whose first line is 'version 1', got another file.")
-        names, rows = [], []  # a row is start x, start y, goal x, goal y and octile length
-        for number, line in enumerate(lines[1:], start=2):
-            if not line.strip():
-                continue
-            # Fields are separated by tabs, or else by spaces, which names of maps do not hold then.
-            fields = line.split("\t") if "\t" in line else line.split()
-            try:
-                numbers = [float(field) for field in fields[4:]]
-            except ValueError:
-                numbers = []
-            if len(fields) != _SCEN_COLUMNS or not numbers or not np.isfinite(numbers).all():
-                columns = "bucket, map, width, height, start x, start y, goal x, goal y and octile length"
-                raise ValueError(f"line {number}: expected {columns}, got {shortened(line)}.")
-            names.append(fields[1])
-            rows.append(numbers)
-        if not rows:
-            raise ValueError("expected at least one query, got none.")
-    table = np.array(rows)
-    return Scenario(names[0], table[:, 0:2], table[:, 2:4], table[:, 4])

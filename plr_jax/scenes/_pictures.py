@@ -4,14 +4,14 @@ import errno
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
 from plr_jax._files import errors_named, yaml_of
@@ -34,19 +34,12 @@ _MOST_PIXELS = 2**24
 _MOST_DECODED = 3 * 2**24  # bytes of all decoded pixels
 _SMALL = 2**22  # pixels that a file of any size may have
 _PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger pictures
-_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # by Pillow's mode, when decoded; all other modes take 4
-_BAND = 2**18  # pixels that are converted at a time, which bounds the memory
-_NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
-_NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
+_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
 OPAQUE = 255  # largest value of an alpha channel
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
-# Tags of TIFF, two of their values, and tags of GeoTIFF.
+# Tags of TIFF, and two of their values.
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339
-_BLACK_IS_ZERO, _SIGNED = 1, 2  # values of _PHOTOMETRIC and of _SAMPLE_FORMAT
-_PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
-# Entries of _GEO_KEYS: the key, the tag that holds its value (0: this entry), the number of values, and the value.
-_PIXEL_IS_POINT = [1025, 0, 1, 2]  # raster coordinates refer to pixel centers
-_IS_GEOGRAPHIC = [1024, 0, 1, 2]  # coordinates are longitudes and latitudes
+_BLACK_IS_ZERO, _SIGNED = 1, 2  # of _PHOTOMETRIC and of _SAMPLE_FORMAT
 
 
 def read_image(
@@ -81,28 +74,16 @@ def read_image(
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
     with errors_named(path) as file:
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
-        return Workspace.from_mask(free_pixels(file, threshold), resolution, origin, row0="top", **options)
-
-
-def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
-    """Return which pixels are free: lighter than ``threshold`` (1 is white). Row 0 is the top row of the picture.
-
-    The ``.yaml`` file of a map of ROS's ``map_server`` has thresholds of its own; unknown pixels are not free.
-    """
-    if path.suffix.lower() in YAML_ENDINGS:
-        return _MapServer.read(path).free(unknown_is_free=False)
-    with open_picture(path) as picture:
-        free = np.empty((picture.height, picture.width), bool)
-        for rows, light, white, alpha in bands(picture):
-            # A pixel of opacity a = alpha / OPAQUE over white appears as a * light + (1 - a) * white.
-            on_white = light if alpha is None else white + (light - white) * (alpha / OPAQUE)
-            free[rows] = on_white > threshold * white
-    return free
+        with open_picture(file) as picture:
+            light, white, alpha = _lightness(picture)
+        # A pixel of opacity a = alpha / OPAQUE over white appears as a * light + (1 - a) * white.
+        on_white = light if alpha is None else white + (light - white) * (alpha / OPAQUE)
+        return Workspace.from_mask(on_white > threshold * white, resolution, origin, row0="top", **options)
 
 
 @contextmanager
-def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
-    """Open a picture, check it, and turn it upright; ``numbers`` also allows a TIFF with one channel of numbers.
+def open_picture(path: Path) -> Iterator["Image"]:
+    """Open a picture, check it, and turn it upright.
 
     ``ValueError`` is raised if the file is no picture, is damaged or too large, or Pillow does not decode its pixels
     reliably.
@@ -118,13 +99,11 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
         try:
             picture = Image.open(file, formats=_FORMATS)
         except Exception as error:  # Pillow's decoders raise any kind of error
-            expected = f"a TIFF of {_NUMBERS}" if numbers else f"a picture ({', '.join(_FORMATS)})"
-            raise ValueError(f"expected {expected}, got something else ({error}).") from None
+            raise ValueError(f"expected a picture ({', '.join(_FORMATS)}), got something else ({error}).") from None
         with picture:
             # 2. Reject pictures that take too much memory, before any pixel is decoded.
             _require_limits(picture, num_bytes)
-            if not (numbers and picture.mode in _NUMBER_MODES):
-                _require_plain(picture, numbers)  # also scales the transparent gray
+            _require_plain(picture)  # also scales the transparent gray
             # 3. Decode the pixels, and apply the orientation that the file states.
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
@@ -149,7 +128,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
         raise ValueError(f"expected {limit}, got {size}: it is damaged, or nearly all of one color; crop it.")
 
 
-def _require_plain(picture: Any, numbers: bool) -> None:
+def _require_plain(picture: Any) -> None:
     """Raise a ``ValueError`` if Pillow does not decode the lightness or opacity of a picture reliably.
 
     In PNG files with 2 or 4 bits per pixel, one gray level may stand for transparent pixels. Pillow scales the pixels
@@ -164,7 +143,7 @@ def _require_plain(picture: Any, numbers: bool) -> None:
     if picture.mode == "F" or not is_plain:
         raise ValueError(
             "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels: "
-            f"save it in 8 bits{'' if numbers else ' for a map of walls; scenes.read_cost_map reads costs'}."
+            "save it in 8 bits for a map of walls; for costs use RasterCost of what rioxarray.open_rasterio reads."
         )
     # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
     if picture.tile and "transparency" in picture.info:
@@ -175,29 +154,17 @@ def _require_plain(picture: Any, numbers: bool) -> None:
             picture.info["transparency"] *= _GRAY_STEP[raw_mode]
 
 
-def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield a picture in bands of rows, to bound the memory.
-
-    Each item is the slice of the band's rows, and the three results of :func:`_lightness` for these rows: the
-    lightness of the pixels, the lightness of white, and the opacity.
-    """
-    step = max(1, _BAND // picture.width)
-    for top in range(0, picture.height, step):
-        bottom = min(top + step, picture.height)
-        yield slice(top, bottom), *_lightness(picture.crop((0, top, picture.width, bottom)))
-
-
-def _lightness(part: "Image") -> tuple[Gray, int, Gray | None]:
+def _lightness(picture: "Image") -> tuple[Gray, int, Gray | None]:
     """Return the lightness of each pixel, the lightness of white, and opacity from 0 to 255 (None if opaque)."""
     # Gray of 16 bits, and opaque gray of 8 bits, stay as they are; else lightness is the sum of red, green and blue.
-    if part.mode.startswith("I"):
-        light = np.asarray(part, np.int32)
-        transparent = part.info.get("transparency")  # the gray of all pixels that are transparent
+    if picture.mode.startswith("I"):
+        light = np.asarray(picture, np.int32)
+        transparent = picture.info.get("transparency")  # the gray of all pixels that are transparent
         return light, 2**16 - 1, None if transparent is None else np.where(light == transparent, 0, OPAQUE)
-    if part.mode in ("1", "L") and not part.has_transparency_data:
-        return np.asarray(part.convert("L"), np.int32), 2**8 - 1, None
-    red, green, blue, alpha = np.moveaxis(np.asarray(part.convert("RGBA")), 2, 0).astype(np.int32)
-    return red + green + blue, 3 * (2**8 - 1), alpha if part.has_transparency_data else None
+    if picture.mode in ("1", "L") and not picture.has_transparency_data:
+        return np.asarray(picture.convert("L"), np.int32), 2**8 - 1, None
+    red, green, blue, alpha = np.moveaxis(np.asarray(picture.convert("RGBA")), 2, 0).astype(np.int32)
+    return red + green + blue, 3 * (2**8 - 1), alpha if picture.has_transparency_data else None
 
 
 _REQUIRED = ("image", "resolution", "origin")
@@ -252,97 +219,38 @@ def read_cost_map(
     unknown_is_free: bool = False,
     interpolation: str = "bilinear",
 ) -> "RasterCost":
-    """Read a map of ROS's ``map_server``, or a TIFF of cost factors, as a cost map in the frame of the map.
+    """Read a map of ROS's ``map_server`` as a cost map in the frame of the map.
 
-    Pixels of a ``.yaml`` map, in meters and without rotation, become values of an occupancy grid, by mode:
+    Pixels of the map, in meters and without rotation, become values of an occupancy grid, by mode:
 
     - ``trinary``: 0 where :func:`read_map_server` finds free pixels, 100 where occupied, -1 where unknown.
     - ``scale``: as ``trinary``, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels
       that are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
     - ``raw``: the percentages in the pixels, without thresholds.
 
-    Occupied cells are blocked. If all other cells are free or unknown, the usual costs around obstacles are added by
-    ``read_cost_map(path).inflated(inscribed_radius)``. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF. ``interpolation`` is as
-    for :class:`RasterCost`.
-
-    Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
-    factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
-    (OGC standard 1.1, 2019) lies where its tags say, in its own units; a warning tells if these are degrees. In other
-    TIFFs a pixel has side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the file's first row has
-    the highest y.
+    Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
+    adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
+    :meth:`RasterCost.from_occupancy_grid`. For a GeoTIFF of cost factors, use
+    ``RasterCost(rioxarray.open_rasterio(path, masked=True).squeeze("band"))``.
 
     Raises:
-        ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
-            blocked, or an option is not for this kind of file.
+        ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, or all cells are
+            blocked.
     """
     with errors_named(path) as file:
         from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
 
-        if file.suffix.lower() in (".tif", ".tiff"):
-            if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
-                raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
-            return RasterCost(*_read_factors(file), interpolation)
         map_server = _MapServer.read(file)
         x, y, yaw = map_server.origin
         if yaw != 0:
             raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")
-        grid = map_server.cells(map_server.occupancy_grid, np.int8)[::-1]
+        grid = map_server.occupancy_grid()[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
         hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
         options: Any = {"unknown_is_free": unknown_is_free, "interpolation": interpolation}
         return RasterCost.from_occupancy_grid(
             grid, ((x, y), hi), cost_travel_multiplier=cost_travel_multiplier, **options
         )
-
-
-def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[Any, Any]]:
-    """Read a TIFF of cost factors; return the factors and the lower and upper corner of the raster.
-
-    Row 0 of the factors has the lowest ``y``. Cells without data are ``inf``.
-    """
-    with open_picture(path, numbers=True) as picture:
-        if picture.mode not in _NUMBER_MODES:
-            advice = "For a map of map_server give its .yaml file."
-            raise ValueError(f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. {advice}")
-        tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
-        factors = np.array(picture, np.float64)[::-1]
-    # 1. Block cells without data. Floats were rounded to 32 bits when they were written.
-    no_data = float(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))
-    with np.errstate(over="ignore"):
-        factors[factors == (float(np.float32(no_data)) if picture.mode == "F" else no_data)] = np.inf
-    # 2. Locate the raster by the tie point: `column` and `row`, counted from the upper left corner of the raster, lie
-    #    at (x, y) of the map.
-    #      +-----------+    x = lo_x + column * along_x
-    #      | o (x, y)  |    y = lo_y + (rows - row) * along_y, since rows count downward
-    #      |           |
-    #     lo-----------+
-    if _TRANSFORMATION in tags:
-        raise ValueError("expected a GeoTIFF whose rows lie along x, got a transformation: rotate the picture.")
-    rows, columns = factors.shape
-    column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))  # by default lo is at (0, 0)
-    sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
-    along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
-    keys = np.ravel(tags.get(_GEO_KEYS, ()))
-    keys = keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist()
-    if _PIXEL_IS_POINT in keys:  # they are counted from the center of the upper left pixel, not from its corner
-        column, row = column + 0.5, row + 0.5
-    if _IS_GEOGRAPHIC in keys:
-        warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=3)
-    lo = x - column * along_x, y - (rows - row) * along_y
-    require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
-    return factors, (lo, (lo[0] + columns * along_x, lo[1] + rows * along_y))
-
-
-def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
-    """Return the numbers of a TIFF tag, or ``default`` if there is no such tag.
-
-    ``ValueError`` is raised unless the numbers are finite and as many as in ``default``.
-    """
-    values = tags.get(tag, default)
-    if not isinstance(values, tuple) or len(values) != len(default) or not np.isfinite(values).all():
-        raise ValueError(f"expected {len(default)} finite numbers in the tag {tag}, got {shortened(values)}.")
-    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,40 +293,30 @@ class _MapServer:
         occupied_thresh = _number("occupied_thresh", entry.get("occupied_thresh", 0.65))
         return cls(image, resolution, origin, mode, bool(negate), free_thresh, occupied_thresh)
 
-    def cells(
-        self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
-    ) -> Shaped[np.ndarray, "rows columns"]:
-        """Return ``value_of`` of each pixel's occupancy, as an array of ``dtype`` whose row 0 is the top row.
-
-        ``value_of`` maps arrays of occupancies to arrays. Occupancies are from 0 to 1, NaN where unknown.
-        """
+    def occupancy(self) -> Float[np.ndarray, "rows columns"]:
+        """Return the occupancy of all pixels, 0 to 1, NaN where unknown; row 0 is the top row."""
         with errors_named(self.image), open_picture(self.image) as picture:
-            cells = np.empty((picture.height, picture.width), dtype)
-            for rows, light, white, alpha in bands(picture):
-                # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
-                if self.mode == "trinary" and alpha is not None:
-                    light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
-                occupancy = (light if self.negate else white - light) / white
-                if self.mode == "raw":
-                    percent = np.rint(_RAW_WHITE * light / white)
-                    occupancy = np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
-                if self.mode == "scale" and alpha is not None:
-                    occupancy = np.where(alpha == OPAQUE, occupancy, np.nan)
-                cells[rows] = value_of(occupancy)
-        return cells
+            light, white, alpha = _lightness(picture)
+        # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
+        if self.mode == "trinary" and alpha is not None:
+            light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
+        if self.mode == "raw":
+            percent = np.rint(_RAW_WHITE * light / white)
+            return np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
+        occupancy = (light if self.negate else white - light) / white
+        if self.mode == "scale" and alpha is not None:
+            return np.where(alpha == OPAQUE, occupancy, np.nan)
+        return occupancy
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
         """Return which pixels are free, ``(rows, columns)``; row 0 is the top row of the picture."""
+        occupancy = self.occupancy()
         # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
-        if unknown_is_free:
-            return self.cells(lambda occupancy: ~(occupancy > self.occupied_thresh), bool)
-        return self.cells(lambda occupancy: occupancy < self.free_thresh, bool)
+        return ~(occupancy > self.occupied_thresh) if unknown_is_free else occupancy < self.free_thresh
 
-    def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``, by mode and thresholds.
-
-        The values are 0 (free) to 100 (occupied), and -1 where unknown.
-        """
+    def occupancy_grid(self) -> Float[np.ndarray, "rows columns"]:
+        """Return the values of ROS's ``OccupancyGrid`` of all pixels, 0 to 100 or -1; row 0 is the top row."""
+        occupancy = self.occupancy()
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":

@@ -127,12 +127,14 @@ def test_inputs_are_not_overwritten(maze, maps, tmp_path):
 
 
 def test_interrupted_demo_ends(tmp_path, monkeypatch):
-    def construct(*_, **__):
+    def interrupted(*arguments, **options):
         warnings.warn("Interrupted: the PLR is incomplete.", ConstructionInterrupted, stacklevel=1)
+        return construct(*arguments, max_leaves=4, **options)
 
-    monkeypatch.setattr("plr_jax.cli.demo.construct", construct)
+    monkeypatch.setattr("plr_jax.construct", interrupted)
     result = run("demo", "--output", tmp_path)
-    assert (result.exit_code, result.stderr) == (130, "Interrupted.\n")
+    assert result.exit_code == 130
+    assert result.stderr == f"Interrupted: {tmp_path / 'maze.plr'} holds the 4 leaves built so far.\n"
 
 
 @pytest.mark.full
@@ -143,8 +145,9 @@ def test_demo_writes_and_prints_all_files(tmp_path, monkeypatch):
     for name, value in small.items():
         monkeypatch.setattr(f"plr_jax.cli.demo.{name}", value)
     printed = done("demo", "--output", tmp_path / "new" / "folder")
-    files = "maze.plr maze_distance.png maze_error.png maze_surface.png four_rooms.html four_rooms.gif maze.html"
-    for name in (*files.split(), "four_rooms_distances.html"):
+    files = ["maze.plr", "maze.html", "four_rooms.html", "four_rooms.gif", "four_rooms_distances.html"]
+    files += [f"maze_{kind}.png" for kind in ("distance", "cells", "error", "surface")]
+    for name in files:
         path = tmp_path / "new" / "folder" / name
         assert path.stat().st_size > 0 and str(path) in printed
 

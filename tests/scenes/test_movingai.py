@@ -39,37 +39,21 @@ def test_squeeze_is_passed_on(tmp_path):
 
 
 BROKEN = [
-    ("map", "", "expected a Moving AI map"),
-    ("map", "type octile\nheight 2\nwidth x\nmap\n..\n..\n", "expected a Moving AI map"),
-    ("map", "type octile\nheight 0\nwidth 2\nmap\n", "expected a Moving AI map"),
-    ("map", "type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "expected 3 rows, as the header says, got 2"),
-    ("map", "type octile\nheight 2\nwidth 2\nmap\n..\n...\n", "line 6: expected 2 cells, got 3"),
-    ("map", "type octile\nheight 1\nwidth 2\nmap\n@T\n", "at least one passable cell"),
-    ("scen", "", "expected a Moving AI scenario"),
-    ("scen", "0\ta.map\t9\t9\t1\t2\t3\t4\t2.8\n", "expected a Moving AI scenario"),
-    ("scen", "version 1\n", "at least one query, got none"),
-    ("scen", "version 1\n0\ta.map\t9\t9\t1\t2\t3\t4\n", "line 2: expected bucket"),
-    ("scen", "version 1\n0\ta\t9\t9\t1\t2\t3\t4\t1\n0\ta\t9\t9\t1\t2\t3\tfour\t1\n", "line 3: expected bucket"),
-    ("scen", "version 1\n0\ta.map\t9\t9\t1\t2\t3\tnan\t1\n", "line 2: expected bucket"),
+    ("", "expected a Moving AI map"),
+    ("type octile\nheight 2\nwidth x\nmap\n..\n..\n", "expected a Moving AI map"),
+    ("type octile\nheight 0\nwidth 2\nmap\n", "expected a Moving AI map"),
+    ("type octile\nheight 3\nwidth 2\nmap\n..\n..\n", "expected 3 rows, as the header says, got 2"),
+    ("type octile\nheight 2\nwidth 2\nmap\n..\n...\n", "line 6: expected 2 cells, got 3"),
+    ("type octile\nheight 1\nwidth 2\nmap\n@T\n", "at least one passable cell"),
 ]
 
 
 def test_broken_file_raises(tmp_path):
-    for kind, text, message in BROKEN:
-        path = tmp_path / f"broken.{kind}"
+    path = tmp_path / "broken.map"
+    for text, message in BROKEN:
         path.write_text(text)
-        with pytest.raises(ValueError, match=rf"broken\.{kind}.*{message}"):
-            (scenes.read_map if kind == "map" else scenes.read_scen)(path)
-
-
-def test_scenarios_are_read_row_by_row(tmp_path):
-    path = tmp_path / "two.scen"
-    path.write_text("version 1\n0\ta b.map\t9\t9\t1\t2\t3\t4\t2.82843\n1\ta b.map\t9\t9\t5\t6\t5\t8\t2\n")
-    scenario = scenes.read_scen(path)
-    assert scenario.map_name == "a b.map"
-    np.testing.assert_array_equal(scenario.starts, [[1, 2], [5, 6]])
-    np.testing.assert_array_equal(scenario.goals, [[3, 4], [5, 8]])
-    np.testing.assert_array_equal(scenario.octile_lengths, [2.82843, 2])
+        with pytest.raises(ValueError, match=rf"broken\.map.*{message}"):
+            scenes.read_map(path)
 
 
 @pytest.mark.parametrize("name", [*(f"movingai/{name}" for name in MAPS), "polyanya_arena/arena"])

@@ -150,16 +150,11 @@ def test_tiff_of_other_numbers_raises(tmp_path):
         tiff(np.array([0, 0.5, 1], "<f4"), 32, 3),
     ]:
         (tmp_path / "a.tif").write_bytes(data)
-        expected = "black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels"
-        with pytest.raises(ValueError, match=rf"a\.tif: expected {expected}: save it in 8 bits .*read_cost_map"):
+        expected = (
+            "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels"
+        )
+        with pytest.raises(ValueError, match=rf"a\.tif: {expected}: save it in 8 bits .*; for costs use RasterCost"):
             scenes.read_image(tmp_path / "a.tif")
-
-
-def test_cost_map_of_64_bit_floats_raises(tmp_path):
-    (tmp_path / "a.tif").write_bytes(tiff(np.array([1, 2.5, 3], "<f8"), 64, 3))
-    expected = "a TIFF of one channel of 32-bit floats, or of integers .*"
-    with pytest.raises(ValueError, match=rf"a\.tif: expected {expected}, got something else"):
-        scenes.read_cost_map(tmp_path / "a.tif")
 
 
 def test_broken_picture_raises(tmp_path):
