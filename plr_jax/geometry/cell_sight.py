@@ -449,6 +449,12 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation, False)
 
 
+def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> CellSources:
+    """Return the convex pieces of free space in boxes, and the corners that each piece may see, without a goal."""
+    lists = turns_by_triangle(visibility, triangulation)
+    return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
+
+
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
     """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
     # 1. Unite both sources of a corner, 2 c and 2 c + 1, in pairs (piece, corner). If a piece has both, their
