@@ -160,7 +160,7 @@ class _SameShapeGroup:
         rows, distinct, num_rows = [], [], 0
         has_proof = all(plr.band is not None and plr.has_arrays_of_file for plr in plrs)
         for plr, each in zip(plrs, tables, strict=True):  # a row ends with the leaf's two bounds, if there is a proof
-            # In paged tables, parameters are stored by slot, and the first slots are the leaves themselves.
+            # If parameters are stored by slot, the first slots are those of the leaves, in their order.
             count = each.leaf.num_leaf_parameters(each.dim)
             numbers = np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
@@ -292,7 +292,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
             each,
             bits=np.zeros_like(each.bits),
             blocks=None,
-            pages=None,
+            is_by_slot=False,
             leaf_of_slot=np.zeros(0, np.uint16),
             leaf_parameters=np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
         )

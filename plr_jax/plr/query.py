@@ -127,7 +127,7 @@ def lookup(tables: Tables, x: Points) -> Bits:
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
-    return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(np.uint32)
+    return gather(tables.leaf_of_slot, row).astype(np.uint32) if tables.is_by_slot else row
 
 
 def find_row(tables: Tables, x: Points) -> Bits:
@@ -139,13 +139,9 @@ def find_row(tables: Tables, x: Points) -> Bits:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
     index = _join_bits(fractions, *tables.bits)  # of a block, or of an entry of a flat table
-    if tables.pages is not None:  # the row is the page's start, plus those bits below the block that the word selects
-        mask, right, start = tables.pages.bits
-        word = gather(tables.pages.words, index)
-        return (word >> (start[0] & _SHIFTS)) + (word & _join_bits(fractions, mask, right))
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, fractions, index)
-    return gather(tables.leaf_of_slot, index).astype(np.uint32)
+    return index if tables.is_by_slot else gather(tables.leaf_of_slot, index).astype(np.uint32)
 
 
 def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
