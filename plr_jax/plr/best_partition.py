@@ -203,13 +203,6 @@ def peak_weight(num_leaves: float, is_proven: bool) -> float:
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
-class SelectedBoxes(NamedTuple):
-    """The boxes of a level that a tree at the current or a lower price may contain."""
-
-    box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
-    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
-
-
 class PriceSearch:
     """A search for the tree of least error whose file is within limits, such as a number of bytes.
 
@@ -223,12 +216,10 @@ class PriceSearch:
     ) -> None:
         self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-        self._selected: list[SelectedBoxes] = []
 
     def first(self) -> PricedTree:
         """Return the tree whose only leaf is the root; raise :class:`BudgetTooSmall` if its file is too large."""
         price = float(self.levels[0].costs(1.0)[0])
-        self._select_boxes(price, 1.0)
         tree = self._tree(price, 1.0)
         self._limits.require_room(tree.num_bytes)
         return replace(tree, is_final=self._is_finest(tree, 1.0))
@@ -240,7 +231,6 @@ class PriceSearch:
         price, weight = self._next_price(now)
         num_boxes = self._num_boxes()
         expand(self.levels, price, weight, self._limits)
-        self._select_boxes(price, weight)
         larger = self._tree(price, weight)
         if self._num_boxes() == num_boxes and self._is_finest(larger, weight):
             larger = replace(self._tree(_LAST * price, weight), is_final=True)
@@ -305,34 +295,16 @@ class PriceSearch:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, price: float, weight: float) -> None:
-        """Store the boxes that the best tree at this or a higher price may contain."""
-        # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
-        # the root along all other halvings.
-        nodes, selected = np.zeros(1, np.int64), []
-        for level in self.levels:
-            if not len(nodes):
-                break
-            child = level.child[:, :, nodes]
-            child[:, :, level.costs(weight)[nodes] <= price] = UNKNOWN
-            selected.append(SelectedBoxes(nodes, child))
-            # Select the halves in the next level, and let `child` count the selected boxes only.
-            is_known = child >= 0
-            is_selected = np.bincount(child[is_known]) > 0
-            nodes = np.flatnonzero(is_selected)
-            child[is_known] = (np.cumsum(is_selected) - 1)[child[is_known]]
-        self._selected = selected
-
     def _best_tree(self, price: float, weight: float) -> PricedTree:
-        """Return the tree of selected boxes with the least sum of leaves' costs and prices."""
+        """Return the tree of known boxes with the least sum of leaves' costs and prices."""
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.
-        choices, below, selected = [], np.zeros(0), self._selected
-        for level, (box, child) in zip(reversed(self.levels[: len(selected)]), reversed(selected), strict=True):
-            total = level.costs(weight)[box] + price
-            choice = np.full(len(box), -1)
-            for axis, (lower, upper) in enumerate(child):
+        choices, below = [], np.zeros(0)
+        for level in reversed(self.levels):
+            total = level.costs(weight) + price
+            choice = np.full(len(total), -1)
+            for axis, (lower, upper) in enumerate(level.child):
                 halved = np.flatnonzero(lower >= 0)
                 split_cost = below[lower[halved]] + below[upper[halved]]
                 is_cheaper = split_cost < total[halved]
@@ -342,12 +314,12 @@ class PriceSearch:
             choices.append(choice)
         # 2. Downward from the root, collect the tree's nodes and leaves.
         leaves, walked, nodes = [], [], np.zeros(1, np.int64)
-        for (box, child), choice in zip(selected, reversed(choices), strict=True):
+        for level, choice in zip(self.levels, reversed(choices), strict=True):
             if not len(nodes):
                 break
             axis = choice[nodes]
             is_inner = axis >= 0
-            leaves.append(box[nodes[~is_inner]])
+            leaves.append(nodes[~is_inner])
             walked.append(axis)
-            nodes = child[axis[is_inner], :, nodes[is_inner]].ravel()
+            nodes = level.child[axis[is_inner], :, nodes[is_inner]].ravel()
         return PricedTree(leaves, walked, leaf_order(walked), price)
