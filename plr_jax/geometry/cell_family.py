@@ -98,18 +98,14 @@ class FamilySamples:
             counts = np.diff(self.first, append=len(length))
             shortest = np.flatnonzero((length == np.repeat(distance[self.box], counts)) & np.isfinite(length))[::-1]
             vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
-        # 2. Straight paths, which are shorter, replace them.
-        lo, hi = _view_box(view)
+        # 2. Straight paths, which are shorter, replace them. The goal sees nothing beyond a box around the edges that
+        #    it sees.
+        ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
+        lo, hi = ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
         direct = self.sampled[near[view.sees(np.zeros(len(near), int), self.placed[near])]]
         distance[direct], vertex[direct] = np.linalg.norm(self.x[direct] - goal, axis=1), 0
         return distance, vertex
-
-
-def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return the corners of a box around the visibility polygon: around the viewpoint and the edges it sees."""
-    ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
-    return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
 
 class FamilyGoal(NamedTuple):
@@ -154,12 +150,8 @@ def cells_of_goals(
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
     """Join the sources and turns of several goals, one goal after the other, with what corners see."""
     num, count = len(goals), 1 + len(corners.points)
-    # 1. Viewpoints are all goals, then all corners. Keys begin with 4 times the viewpoint's index.
-    goal_table = joined_tables([goal.view for goal in goals])
-    of_goals, of_corners = Shadows.of(goal_table), sight.shadows
-    key, unit, start, end = concatenated((of_goals, of_corners), "key", "unit", "start", "end")
-    key[len(of_goals.key) :] += 4.0 * num
-    shadows = Shadows(joined_tables([goal_table, of_corners.table]), key, unit, start, end)
+    # 1. Viewpoints are all goals, then all corners.
+    shadows = Shadows.of(joined_tables([*(goal.view for goal in goals), sight.shadows.table]))
     # 2. Each goal has a row of sources, the goal and all corners. Find their viewpoints.
     view = np.tile(num - 1 + np.arange(count), (num, 1))
     view[:, 0] = np.arange(num)
