@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
-from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie, gather
+from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, gather
 
 Points = Float[Array, "*batch dim"]
 Values = Float[Array, "*batch"]
@@ -135,10 +135,10 @@ def find_row(tables: Tables, x: Points) -> Bits:
 
     Along periodic axes, points must lie in the domain.
     """
-    if tables.trie is not None:
-        return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
     index = _join_bits(fractions, *tables.bits)  # of a block, or of an entry of a flat table
+    if tables.first_block is not None:
+        index = tables.first_block + index
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, fractions, index)
     return index if tables.is_by_slot else gather(tables.leaf_of_slot, index).astype(np.uint32)
@@ -315,27 +315,6 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
 def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32[Array, " dim"]) -> Bits:
     # A row-major index: the bits under each axis's mask, side by side, the last axis lowest.
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
-
-
-def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
-    """Return the row of each point's leaf in a stack of PLRs, level by level of the trie."""
-
-    # Entry 2 * i + 1 leads to the page that starts at entry i, where the point's bits select an entry. Entry 2 * i
-    # leads to row i; it reads entry i, which is 2 * i again.
-    def descend(entry: Bits, bits: UInt32[Array, "2 dim"]) -> Bits:
-        fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
-        is_page = np.uint32(0) - (entry & np.uint32(1))  # all ones or zero
-        return gather(trie.entries, (entry >> np.uint32(1)) + (_join_bits(fractions, bits[0], bits[1]) & is_page))
-
-    entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
-    for level in range(1, len(trie.bits)):
-        # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
-        # always holds, but XLA cannot know that, and does not fuse the loops.
-        is_used = trie.bits[level].any()
-        entry = jax.lax.cond(
-            is_used, lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
-        )
-    return entry >> np.uint32(1)
 
 
 def _constant(x: Shaped[Array, "*batch"]) -> Shaped[Array, "*batch"]:

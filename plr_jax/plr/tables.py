@@ -7,7 +7,7 @@ The highest bits of a point's position select an entry (*blocks* and *slots*: ``
   For small PLRs with deep trees, entries store leaf parameters instead of leaf indices, which saves a read.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, prod
 from typing import Any
@@ -56,16 +56,6 @@ _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the 
 def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped[Array, "*batch"]:
     """Return ``table[index]`` without a bounds check."""
     return table.at[index].get(mode="promise_in_bounds")
-
-
-@pytree
-class Trie:
-    """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
-
-    # Entry 2 * i: row i of the leaf parameters; 2 * i + 1: the point's child table, which begins at entry i.
-    entries: UInt32[Array, " entries"]
-    bits: UInt32[Array, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
-    start: UInt32[Array, "*batch"]  # first entry of one PLR, or of each point's PLR
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,23 +131,33 @@ def pack_blocks(
     return Blocks(tuple(words), jax.device_put(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def choose_block_bits(
-    cells: Cells, bits: PerAxis, most_slots: int, choices: Iterable[int], bytes_a_slot: int
-) -> PerAxis | None:
-    """Choose how often a coarse grid halves each axis, so that its cells' lookup tables take the least memory.
+def index_bits(bits: PerAxis) -> UInt32[Array, "2 dim"]:
+    """Return masks and right shifts that turn fraction bits into an index in a grid of ``2**bits`` cells per axis."""
+    mask = ((1 << bits) - 1) << (FRACTION_BITS - bits)
+    return jax.device_put(np.stack([mask, FRACTION_BITS - np.cumsum(bits[::-1])[::-1]]).astype(np.uint32))
 
-    ``bits`` has the halvings of the finest leaves by axis; ``choices``, ascending, are sums of the halvings. Return
-    None if all tables exceed ``most_slots`` slots.
+
+def num_slots(cells: Cells, shape: PerBlock) -> float:
+    """Return the number of slots of leaves, and of blocks of the given ``shape`` that lie in several leaves."""
+    return len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1))
+
+
+def choose_block_bits(
+    partitions: Sequence[Cells], bits: PerAxis, most_slots: int, choices: Iterable[int], bytes_a_slot: int
+) -> PerAxis | None:
+    """Choose how often a coarse grid halves each axis, so that the lookup tables of PLRs take the least memory.
+
+    ``partitions`` has the leaves of each PLR, and ``bits`` the halvings of the finest leaves by axis; ``choices``,
+    ascending, are sums of the halvings. Return None if the tables of a PLR always exceed ``most_slots`` slots.
     """
     best, fewest = None, np.inf
     for most_bits in choices:
         block_bits = spread_bits(bits, most_bits)
-        if num_pairs(cells, block_bits) > max(_MOST_PAIRS, most_slots):
+        if max(num_pairs(cells, block_bits) for cells in partitions) > max(_MOST_PAIRS, most_slots):
             break  # finer blocks meet more leaves
-        shape = block_shapes(cells, block_bits)
-        slots = len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1))
-        size = 4 * 2.0 ** block_bits.sum() + bytes_a_slot * slots  # bytes
-        if slots <= most_slots and size < fewest:
+        slots = [num_slots(cells, block_shapes(cells, block_bits)) for cells in partitions]
+        size = len(partitions) * 4 * 2.0 ** block_bits.sum() + bytes_a_slot * sum(slots)  # bytes
+        if max(slots) <= most_slots and size < fewest:
             best, fewest = block_bits, size
     return best
 
@@ -202,7 +202,9 @@ class Tables:
     is_by_slot: bool = field(metadata={"static": True}, default=False)
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None
-    trie: Trie | None = None  # in stacks of many PLRs, used instead of all other lookup tables
+    first_block: UInt32[Array, "*batch"] | None = (
+        None  # in a stack of PLRs: number of the first block of each point's PLR
+    )
     # Float types too coarse for this domain.
     unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())
     straight: list[Any] | None = None  # arrays of a :class:`StraightBound`, a lower bound of all answers
@@ -236,12 +238,12 @@ def build_tables(
     bits, block_bits = cells.depth.max(axis=0), None
     if leaf.has_deep_trees and rows <= MOST_ROWS:
         bytes_a_slot = 2 + leaf_parameters.itemsize * leaf_parameters.shape[1]
-        block_bits = choose_block_bits(cells, bits, _SLOTS[-1], _BLOCK_BITS, bytes_a_slot)
+        block_bits = choose_block_bits([cells], bits, _SLOTS[-1], _BLOCK_BITS, bytes_a_slot)
     is_by_slot = block_bits is not None
     is_flat = not is_by_slot and bits.sum() <= slot_bits_of_rows(rows_of_file)
     if block_bits is None:
         choices = [0] if is_flat else range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum())))
-        block_bits = choose_block_bits(cells, bits, max_entries(num_bytes), choices, 2)
+        block_bits = choose_block_bits([cells], bits, max_entries(num_bytes), choices, 2)
     if block_bits is None:
         deepest = bits.tolist()
         raise ValueError(f"Leaves are too deep for a query's tables: {deepest} splits by axis. Lower max_depth.")
@@ -257,11 +259,9 @@ def build_tables(
     else:
         slots = 1 << max(slot_bits_of_rows(rows_of_file), (len(leaf_of_slot) - 1).bit_length())
         arranged = arrange_parameters(padded(leaf_parameters, rows))
-    # 3. Masks that select the highest fraction bits along each axis.
-    mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     return Tables(
         frame=jax.device_put(frame_of(domain)),
-        bits=jax.device_put(np.stack([mask, FRACTION_BITS - np.cumsum(top[::-1])[::-1]]).astype(np.uint32)),
+        bits=index_bits(top),
         blocks=blocks,
         leaf_of_slot=jax.device_put(padded(leaf_of_slot, slots)),
         leaf_parameters=jax.device_put(arranged),
