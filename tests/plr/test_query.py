@@ -152,8 +152,13 @@ def test_tables_of_parameters_have_the_shape_of_their_depth(max_axis_depth, num_
 def test_blocks_are_as_coarse_as_the_slots_allow():
     cells = partition_around_corners(0)
     bits = cells.depth.max(axis=0)
-    found = [choose_block_bits([cells], bits, most, (10, 12, 14, 16), 14) for most in (2**16, 2**13, 600)]
-    assert [block_bits if block_bits is None else block_bits.sum() for block_bits in found] == [14, 16, None]
+    for most_slots, choices, expected in (
+        (2**16, (10, 12, 14), 14),
+        (2**14, (10, 12, 14, 16), 16),
+        (600, (16,), None),
+    ):
+        block_bits = choose_block_bits([cells], bits, most_slots, choices, 14)
+        assert (None if block_bits is None else block_bits.sum()) == expected
 
 
 def test_leaves_of_the_greatest_depth_are_found():
