@@ -198,13 +198,6 @@ Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 """For each level, the indices of the boxes that are leaves of a tree."""
 
 
-class SelectedBoxes(NamedTuple):
-    """The boxes of a level that the best tree at a price, or at a higher one, may contain."""
-
-    box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
-    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
-
-
 @dataclass(frozen=True, eq=False)
 class PricedTree:
     """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
@@ -213,7 +206,6 @@ class PricedTree:
     axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
     order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float
-    selected: list[SelectedBoxes]  # the boxes, level by level, among which the tree is the best
     num_bytes: int = 0
     is_final: bool = False  # whether the search for a larger tree is over
 
@@ -247,7 +239,7 @@ class PriceSearch:
     def first(self) -> PricedTree:
         """Return the tree whose only leaf is the root; raise :class:`BudgetTooSmall` if its file is too large."""
         price = float(self.levels[0].costs(1.0)[0])
-        tree = self._tree(self._select_boxes(price, 1.0), price, 1.0)
+        tree = self._tree(price, 1.0)
         self._limits.require_room(tree.num_bytes)
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
@@ -261,9 +253,9 @@ class PriceSearch:
         price, weight = self._next_price(now)
         num_boxes = self._num_boxes()
         expand(self.levels, price, weight, self._limits)
-        larger = self._tree(self._select_boxes(price, weight), price, weight)
+        larger = self._tree(price, weight)
         if self._num_boxes() == num_boxes and self._is_finest(larger, weight):
-            larger = replace(self._tree(larger.selected, _LAST * price, weight), is_final=True)
+            larger = replace(self._tree(_LAST * price, weight), is_final=True)
         return larger if self._fill(larger) <= 1 else self._largest(now, larger, weight)
 
     def _num_boxes(self) -> int:
@@ -292,7 +284,7 @@ class PriceSearch:
         if len(now) == 1:
             growth = max(_FIRST_FILL * growth, 2.0)
             return now.price * (growth**-_FIRST_RATE if growth < _UNLIMITED else _LARGEST_DROP), weight
-        before = len(self._best_tree(now.selected, _RATE_STEP * now.price, weight))
+        before = len(self._best_tree(_RATE_STEP * now.price, weight))
         if before == len(now) or growth > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, weight
         # 3. Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
@@ -300,12 +292,12 @@ class PriceSearch:
         drop = float(np.clip((_BEYOND * growth) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, weight
 
-    def _tree(self, selected: list[SelectedBoxes], price: float, weight: float) -> PricedTree:
+    def _tree(self, price: float, weight: float) -> PricedTree:
         """Return the best tree at a price per leaf; compute the size of its file only if bytes are limited.
 
         ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
-        tree = self._best_tree(selected, price, weight)
+        tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(self.levels, tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
@@ -326,7 +318,7 @@ class PriceSearch:
             sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
-            middle = self._tree(beyond.selected, price, weight)
+            middle = self._tree(price, weight)
             if self._fill(middle) <= 1:
                 fits = largest = middle
             else:
@@ -335,37 +327,16 @@ class PriceSearch:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, price: float, weight: float) -> list[SelectedBoxes]:
-        """Return the boxes of each level that the best tree at this or a higher price may contain."""
-        # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
-        # the root along all other halvings.
-        nodes, selected = np.zeros(1, np.int64), []
-        for level in self.levels:
-            if not len(nodes):
-                break
-            child = level.child[:, :, nodes]
-            child[:, :, level.costs(weight)[nodes] <= price] = UNKNOWN
-            selected.append(SelectedBoxes(nodes, child))
-            # Select the halves in the next level, and let `child` count the selected boxes only.
-            is_known = child >= 0
-            is_selected = np.bincount(child[is_known]) > 0
-            nodes = np.flatnonzero(is_selected)
-            child[is_known] = (np.cumsum(is_selected) - 1)[child[is_known]]
-        return selected
-
-    def _best_tree(self, selected: list[SelectedBoxes], price: float, weight: float) -> PricedTree:
-        """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``.
-
-        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
-        """
+    def _best_tree(self, price: float, weight: float) -> PricedTree:
+        """Return the tree of known boxes with the least sum of leaves' costs and prices."""
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.
         choices, below = [], np.zeros(0)
-        for level, (box, child) in zip(reversed(self.levels[: len(selected)]), reversed(selected), strict=True):
-            total = level.costs(weight)[box] + price
-            choice = np.full(len(box), -1)
-            for axis, (lower, upper) in enumerate(child):
+        for level in reversed(self.levels):
+            total = level.costs(weight) + price
+            choice = np.full(len(total), -1)
+            for axis, (lower, upper) in enumerate(level.child):
                 halved = np.flatnonzero(lower >= 0)
                 split_cost = below[lower[halved]] + below[upper[halved]]
                 is_cheaper = split_cost < total[halved]
@@ -375,12 +346,12 @@ class PriceSearch:
             choices.append(choice)
         # 2. Downward from the root, collect the tree's nodes and leaves.
         leaves, walked, nodes = [], [], np.zeros(1, np.int64)
-        for (box, child), choice in zip(selected, reversed(choices), strict=True):
+        for level, choice in zip(self.levels, reversed(choices), strict=True):
             if not len(nodes):
                 break
             axis = choice[nodes]
             is_inner = axis >= 0
-            leaves.append(box[nodes[~is_inner]])
+            leaves.append(nodes[~is_inner])
             walked.append(axis)
-            nodes = child[axis[is_inner], :, nodes[is_inner]].ravel()
-        return PricedTree(leaves, walked, leaf_order(walked), price, selected)
+            nodes = level.child[axis[is_inner], :, nodes[is_inner]].ravel()
+        return PricedTree(leaves, walked, leaf_order(walked), price)
