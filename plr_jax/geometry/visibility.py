@@ -275,9 +275,10 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each point ``x[i]`` is on the free side of the line through its interval's nearest edge.
+        """Return whether each point ``x[i]`` is in front of the edge of interval ``row[i]``, or on the edge's line.
 
-        The interval has the index ``row[i]``. The result is False if the interval has no edge. Near a line the test
+        The edge is the boundary edge that is nearest to the viewpoint in the interval's directions. *In front* is the
+        free side of the line through the edge. The result is False if the interval has no edge. Near a line the test
         is exact.
         """
         edge = self.edge[row]
