@@ -1,9 +1,10 @@
 """The corners that see each cell of a partition of the plane: shortest paths from the cell may turn there first.
 
 The free space in a cell is divided into convex *pieces*. The whole cell is one piece unless a wall reaches into it;
-then the pieces are parts of triangles. The *sources* of a piece are the goal and the corners to which a shortest path
-from the piece may go first. When a cell is cut in two, the new cells inherit pieces and sources. A source of a new
-piece is dropped if no point of the piece sees it, or if no path from the piece turns at the source.
+then the pieces are parts of the triangles of free space. The *sources* of a piece are the goal and the corners to
+which a shortest path from the piece may go first. When a cell is cut in two, the new cells inherit pieces and
+sources. A source of a new piece is dropped if tests prove that no point of the piece sees the source, or that no path
+from the piece turns at the source.
 """
 
 from dataclasses import dataclass, replace
@@ -44,8 +45,8 @@ class Shadows:
                    obstacle /                     |
 
     On the two sides of the ray, the viewpoint sees different walls. The shadow is the part of the ray between the
-    nearer and the farther wall. If the viewpoint does not look to one side of the ray, the shadow starts at the
-    viewpoint.
+    nearer and the farther wall. A viewpoint on a wall looks only into its sectors (see :class:`Viewpoints`). If the
+    ray bounds a sector, the viewpoint sees a wall on one side only, and the shadow starts at the viewpoint.
     """
 
     table: VisibilityTable
@@ -381,9 +382,10 @@ class CellSources:
         return merged.of_pieces(kept).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop a source of a changed piece if no point of the piece sees it, or no path from the piece turns there.
+        """Drop sources of changed pieces that no point of the piece sees, or where no path from the piece turns.
 
-        ``changed`` has a boolean for each piece. If there is a goal, also call :meth:`prune_dominated`.
+        A source stays unless a test proves that it is not needed. ``changed`` has a boolean for each piece. If there
+        is a goal, also call :meth:`prune_dominated`.
         """
         # 1. Compute the centers of changed pieces. A path straight to the old center bounds the distance of the new.
         has_goal = np.isfinite(self.sources.distances).any()
@@ -415,9 +417,9 @@ class CellSources:
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
         """Find the best source of each changed piece: the shortest path from the piece's center goes there first.
 
-        Drop the other sources of the piece that offer a shorter path from no point of the piece, and drop pieces
-        without a path to the goal. ``changed`` says which pieces changed. ``by_center`` says, for each pair of a
-        piece and a source, whether the piece's center sees the source.
+        Drop every other source of the piece that is proven to shorten the path from no point of the piece. Drop
+        pieces without a path to the goal. ``changed`` says which pieces changed. ``by_center`` says, for each pair of
+        a piece and a source, whether the piece's center sees the source.
         """
         # 1. Find the best source s of each center c, with the least distances[s] + |c - points[s]|; ties prefer
         #    sources that all of the piece sees.

@@ -243,7 +243,7 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Assemble the visibility table after a change from viewpoints of several tables.
+    """Assemble, from viewpoints of several tables, the visibility table that holds after a change.
 
     Each entry of ``parts`` has three items: a table from before or after the change, the indices of the viewpoints to
     take from this table, and the indices that these viewpoints get in the result.

@@ -57,7 +57,7 @@ class Viewpoints:
     """
 
     points: Vectors
-    owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
+    owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: at the start of `edge`, or inside of it
     edge: Int[np.ndarray, " sectors"]  # the boundary edge at the right of each sector
 
     def __getitem__(self, rows: slice | Int[np.ndarray, " some"]) -> "Viewpoints":
@@ -286,9 +286,11 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each point ``x[i]`` is in front of the edge of interval ``row[i]``; False if it has no edge.
+        """Return whether each point ``x[i]`` is in front of the edge of interval ``row[i]``, or on the edge's line.
 
-        In front is the free side of the line through the edge. Near the line the test is exact.
+        The edge is the boundary edge that is nearest to the viewpoint in the interval's directions. *In front* is the
+        free side of the line through the edge. The result is False if the interval has no edge. Near a line the test
+        is exact.
         """
         edge = self.edge[row]
         normal = self.boundary.normal[edge]

@@ -76,8 +76,8 @@ class Workspace:
 
     Raises:
         ValueError: If the bounds are not a valid 2-D box, or too far from the origin for their size. If an obstacle
-            crosses itself, or has no finite coordinates or no area. If nothing is free, or walls or gaps are too
-            thin.
+            crosses itself, has no area, or has a coordinate that is not finite. If nothing is free. If so many thin
+            walls or gaps meet that some remain even after coordinates were rounded to half of ``tolerance``.
     """
 
     bounds: Box

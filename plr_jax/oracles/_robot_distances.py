@@ -46,7 +46,11 @@ def exact_lower_bound(problem: Problem) -> float:
 
 
 def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
-    """Return the goal, moved to the nearest free point if rounding alone has put it outside free space."""
+    """Return the goal, moved to the nearest free point if the goal is outside free space only by rounding.
+
+    The goal is not moved if it is at most ``workspace.tolerance`` outside, since it then counts as free. Nor is it
+    moved if it is more than 1,000 times the tolerance outside, since rounding errors are smaller.
+    """
     if workspace.is_free_to_tolerance(goal[None])[0]:
         return goal
     nearest = shapely.get_coordinates(shapely.shortest_line(workspace.free_space, shapely.Point(goal)))[0]

@@ -75,10 +75,16 @@ def _lengths_of_rim(
 ) -> Rim:
     """Return the path length from each rim cell of each agent's square to the agent's goal; FAR without a path.
 
-    ``cells`` are the rows and columns of the rim cells, and ``free`` says which are free. Only some lengths are
-    looked up in the tables, first those of the cells in ``looked_up_first``. Lengths of neighbor cells differ by at
-    most one step. So if the lengths of two rim cells differ by the number of steps between the cells, the lengths in
-    between follow. Otherwise the length of the cell in the middle is looked up.
+    ``cells`` are the rows and columns of the rim cells, and ``free`` says which are free. Lengths are in the units of
+    :func:`open_length`. Only some lengths are looked up in the tables, first those of the cells in
+    ``looked_up_first`` and of free cells beside a blocked rim cell. In two cases, the lengths between two cells of
+    known length follow without a look-up:
+
+    - The known lengths differ by the number of steps between both cells, since lengths of neighbor cells differ by at
+      most one step.
+    - No path leads from either cell: then no path leads from the free cells between them.
+
+    In other cases, the length of the cell in the middle is looked up.
     """
     # Free cells next to a blocked cell of the rim are looked up at once, so that both ends of each run of free cells
     # are known.

@@ -33,7 +33,8 @@ Edges: TypeAlias = Int[np.ndarray, " _"]
 class ReservationTable:
     """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step.
 
-    ``state[t, i]`` is the lattice node of robot ``i`` after ``t`` steps.
+    A robot blocks an edge in a step if its own motion in this step collides with the edge. ``state[t, i]`` is the
+    lattice node of robot ``i`` after ``t`` steps.
     """
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
@@ -68,7 +69,10 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count robot ``i`` as blocking all edges that collide with its path; ``change=-1`` undoes this."""
+        """Count robot ``i`` as blocking, in each step, all edges that collide with its motion in this step.
+
+        ``change=-1`` undoes this. ``TimeoutError`` if time or memory runs out.
+        """
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -77,9 +81,10 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each edge (an index) of kind ``a``, the edges of kind ``b`` that collide with it.
+        """Return, for each edge of kind ``a`` in ``edges``, all edges of kind ``b`` that collide with it.
 
-        Kinds are indices in ``kinds``, groups of robots of equal shape and rotation weight.
+        Kinds are groups of robots of equal shape and rotation weight; ``a`` and ``b`` are indices in ``kinds``. Edges
+        are given and returned as indices among the edges of their kind. ``TimeoutError`` if time or memory runs out.
         """
         ours, others = self.kinds[a], self.kinds[b]
         tree, order, first = self._near[b]
@@ -155,9 +160,10 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan the robots whose paths cost more than if they were alone, the largest difference first, in rounds.
+    """Replan, one by one, the robots whose paths cost more than they would without other robots.
 
-    Stop after a round that saves little, or if time or memory runs out.
+    The robot with the largest extra cost comes first. Such rounds over all robots repeat until a round saves little,
+    or time or memory runs out.
     """
     while True:
         before = table.cost.sum()
@@ -175,8 +181,8 @@ def replan_each(table: ReservationTable) -> None:
 def replan_together(table: ReservationTable, robots: list[int]) -> bool:
     """Replan the robots with the indices ``robots`` one after the other; return whether their total cost fell.
 
-    If their total cost would rise, or a robot finds no path, all keep their old paths. New paths of equal cost are
-    kept.
+    If their total cost would rise, or a robot finds no path, all keep their old paths. New paths of equal total cost
+    replace the old paths, although the result is then False.
     """
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
@@ -205,8 +211,9 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
     """Replan ``count`` groups: a random robot with a detour, and the four robots that come nearest to it.
 
-    A robot has a detour if its path costs more than if it were alone. Distances to other robots are multiplied by
-    random factors from 1 to 2, so that groups vary.
+    A robot has a detour if its path costs more than it would without other robots. The probability that a robot is
+    chosen is proportional to this extra cost. Distances to other robots are multiplied by random factors from 1 to 2,
+    so that groups vary. Stop early if no robot has a detour, or time or memory runs out.
     """
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)

@@ -84,9 +84,9 @@ class Timetable:
         return is_free
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return all collisions of robot ``i`` with other robots on motion ``q`` from row 0 on, and at rest after it.
+        """Return all collisions with other robots if robot ``i`` follows ``q`` from row 0 on, and then rests.
 
-        The results are the time step and the other robot's index of each collision.
+        The results are two arrays with an entry for each collision: its time step, and the other robot's index.
         """
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
@@ -94,11 +94,12 @@ class Timetable:
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " rows"]:
-        """Return, for each row, the first row from there on at which robot ``i`` may come to rest at ``q``.
+        """Return, for each row, the earliest row, not before it, in which robot ``i`` may come to rest at ``q``.
 
-        It may if no other robot meets it there for ``patience`` rows. The result is ``inf`` if there is no such row.
+        The robot may come to rest if no other robot meets it at ``q`` for ``patience`` rows. The result is ``inf`` if
+        there is no such row.
         """
-        # The result is inf if there is no such row. Robots at rest block `q` for `patience` rows after the last row.
+        # Robots at rest block `q` for `patience` rows after the last row.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
         is_taken = np.zeros(len(row), dtype=bool)

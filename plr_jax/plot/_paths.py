@@ -124,7 +124,10 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
-    """Return the part of a robot's outline that faces forward, as points in the robot's own frame."""
+    """Return the part of a robot's outline that faces forward: an open polyline, counterclockwise.
+
+    Points are in the robot's own frame. The workspace's ``bounds`` determine the size of a point robot's dot.
+    """
     # 1. The outline is counterclockwise, so a side (dx, dy) has the outer normal (dy, -dx). The heading points along
     #    x, so the cosine of the angle between the two is dy / |side|.
     corners = body_outline(robot, bounds)

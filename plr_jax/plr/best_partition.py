@@ -57,7 +57,8 @@ class BoxLevel:
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
         """Return, for each axis and box, whether the box may be halved along the axis but has not been so far.
 
-        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost. Without a proof, a box may become more
+        slender if its largest error makes up a large part of this cost.
         """
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
@@ -156,9 +157,10 @@ Halves: TypeAlias = Int[np.ndarray, " halves"]
 
 
 def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
-    """Halve boxes ``parent`` of level ``depth`` along ``axis``; add the halves to the next level if it lacks them.
+    """Halve boxes ``parent`` of level ``depth`` along ``axis``, and enter the halves in ``child`` of this level.
 
-    ``parent`` and ``axis`` have two equal entries for each halving: one for the lower half, one for the upper half.
+    Halves that the next level lacks are added to that level. ``parent`` and ``axis`` have two adjacent equal entries
+    for each halving: the first for the lower half, the second for the upper half.
     """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1

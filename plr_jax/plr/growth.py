@@ -153,7 +153,7 @@ def nodes_of_fit(
 ) -> Nodes:
     """Turn fitted cells into leaves of the growing tree; ``key_of_parent`` has their parents' keys (:class:`Nodes`).
 
-    ``priority`` and ``axis`` are what the rules ``should_split`` and ``split`` returned for the cells. A cell may be
+    ``priority`` and ``axis`` are the results of the rules ``should_split`` and ``split`` for the cells. A cell may be
     split if its priority is larger than the tolerance and the noise of distances, and if it is not too deep.
     """
     check_rules(fit, priority, axis)
@@ -231,15 +231,19 @@ def center_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
-    """Return priority ``inf``, or 0 if no sample of a cell reaches the goal: cells are split breadth first."""
+    """Return the priority ``inf`` for each cell; 0 if no sample of the cell reaches the goal.
+
+    Cells of equal priority are split in the order in which they were made, so the tree grows breadth first.
+    """
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
-    Two kinds of axes are excluded: axes at the depth limit, and axes along which the halves would be shorter than 1/8
-    of another side, in fractions of the domain's sides. If all axes are excluded, return axis 0.
+    Two kinds of axes are excluded: axes at the depth limit, and axes along which the halves would be shorter than
+    another side by a factor of more than ``2**MAX_ASPECT_BITS``, 8, in fractions of the domain's sides. If all axes
+    are excluded, return axis 0.
     """
     cost = _sum_of_squares_after_split(fit)
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)

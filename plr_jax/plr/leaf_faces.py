@@ -27,9 +27,10 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Each step replaces a pair by two pairs, one for each half of its larger node; ``keep`` tells which new pairs to
-    follow. A column of ``pairs`` has a node of ``a``, a node of ``b`` and, in further rows, any data that new pairs
-    copy. The columns of the result have indices of leaves instead of nodes.
+    Each step replaces a pair by two pairs, one for each half of its larger node, or of the other node if the larger
+    node is a leaf. ``keep`` tells which new pairs to follow. A column of ``pairs`` has a node of ``a``, a node of
+    ``b`` and, in further rows, any data that new pairs copy. The columns of the result have indices of leaves instead
+    of nodes.
     """
     trees = a, b
     finished = [pairs[:, :0]]
@@ -188,8 +189,8 @@ def touching_leaves(
 
     Leaves are given and returned by their indices.
     """
-    # A pair of nodes stays if they touch or overlap, the first contains a leaf of ``some``, and the second, of
-    # ``others``.
+    # A pair of nodes stays if they touch or overlap, the first contains a leaf in ``some``, and the second contains a
+    # leaf in ``others``.
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
@@ -206,11 +207,12 @@ def touching_leaves(
 
 
 def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, " pairs"]:
-    """Return the size of the face that the two cells of each pair share; tiny for an edge or a corner, 0 if apart.
+    """Return a measure of contact of the two cells of each pair; 0 for cells that are apart.
 
-    The size is the product, over the axes, of the lengths along which both cells meet, in fractions of the domain.
-    Along an axis on which cells only touch, the length counts as tiny. ``finest`` has the largest depth of cells
-    along each axis.
+    The measure is the product, over the axes, of the length along which both cells overlap, in fractions of the
+    domain. Along an axis on which cells only touch, the length counts as ``_TOUCH`` widths of a finest cell. So a
+    shared face gets its size times one tiny factor; a shared edge or corner has several tiny factors. ``finest`` has
+    the largest depth of cells along each axis.
     """
     # Along an axis, in widths of finest cells:
     #     lo[0] ------------- hi[0]

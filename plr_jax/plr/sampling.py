@@ -188,8 +188,8 @@ class CellFit(Rows):
             0 where the goal cannot be reached.
         urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for other
             cells. A cell is urgent in two cases. Case 1: it holds points that reach the goal, and, far from all such
-            points, free points that do not (see :class:`Reach`). Case 2: few samples of the cell reach the goal, and
-            only a small part of the domain does.
+            points, free points that do not (see :class:`Reach`). Case 2: the cell is large, few of its samples
+            reach the goal, and only a small part of the domain reaches the goal.
         is_cut_off: Whether each cell holds free points that do not reach the goal, and no point that does.
     """
 
@@ -351,8 +351,8 @@ def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.nda
 def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:
     """Return, for each cell and axis, whether the axis is closed: the cell should not be halved along it.
 
-    An axis is closed if the cell was halved ``max_axis_depth`` times along it, or ``MAX_ASPECT_BITS`` times more than
-    along another axis. ``depth`` has the number of halvings of each cell along each axis.
+    ``depth`` has the number of halvings of each cell along each axis. An axis is closed if this number is at least
+    ``max_axis_depth``, or exceeds the number along another axis by at least ``MAX_ASPECT_BITS``.
     """
     return (depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS) | (depth >= max_axis_depth)
 

@@ -68,9 +68,9 @@ class Robot:
 
     @cached_property
     def half_sides(self) -> Float[np.ndarray, "2"] | None:
-        """Half length and half width if the core is a box centered on the reference point, or a point; else None.
+        """Half length and half width, if the core is a box or a point, centered on the reference point; else None.
 
-        A segment along an axis counts as a box of width 0.
+        The sides of the box are parallel to the axes. A segment along an axis counts as a box of width 0.
         """
         # A box with k sides of positive length has 2**k vertices, all with the same |x| and |y|.
         half = np.abs(self.core[0])

@@ -149,9 +149,9 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, geometry: Any, polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
-    """Return a workspace with the obstacles ``shapes``; if ``polygons`` is "free", ``shapes`` are the free space.
+    """Return a workspace whose obstacles or, if ``polygons`` is "free", whose free space are the polygons.
 
-    If ``bounds`` is None, the bounds are the bounding box of ``shapes``. ``squeeze`` says whether paths may pass
+    ``geometry`` is a Shapely geometry of polygons. If ``bounds`` is None, the bounds are its bounding box. ``squeeze`` says whether paths may pass
     between obstacles that touch in a point. A warning tells if coordinates look like degrees.
     """
     parts = enumerate(_parts(shapely.force_2d(geometry)))

@@ -132,8 +132,7 @@ def _require_plain(picture: Any) -> None:
     """Raise a ``ValueError`` if Pillow does not decode the lightness or opacity of a picture reliably.
 
     In PNG files with 2 or 4 bits per pixel, one gray level may stand for transparent pixels. Pillow scales the pixels
-    to 8 bits, but not this level: this function scales ``picture.info["transparency"]`` in place. If ``numbers``, the
-    error message is for a reader of costs.
+    to 8 bits, but not this level: this function scales ``picture.info["transparency"]`` in place.
     """
     # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black.
     tags = getattr(picture, "tag_v2", None)

@@ -209,9 +209,9 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
 
 
 def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of straight motions from ``q`` to ``q + change``, with the cost factor and pulls at ``q``.
+    """Return the costs of straight motions from ``q`` to ``q + change``, as if the cost map were constant.
 
-    For the factor and pulls, see :func:`point_costs`.
+    The cost factor and pulls at ``q`` are used for the whole motion; see :func:`point_costs`.
     """
     factors, pulls = point_costs(motion_cost, cost_map, q)
     return factors * motion_cost.norm(change) + pulled(pulls, change)

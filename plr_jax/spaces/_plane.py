@@ -200,9 +200,11 @@ class PlaneSpace(BodySpace):
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def separated(self, q: ArrayLike) -> "tuple[PlaneSpace, PlaneSpace | None]":
-        """Divide the space in two: polygons of free space that contain a position in ``q``, and all other polygons.
+        """Divide the space in two parts, each a space of its own: polygons of free space near ``q``, and all others.
 
-        Return each part as a space of its own. If one part has no polygon, return the space itself and None.
+        ``q`` has positions ``(n, 2)``. The first part has the polygons within twice ``workspace.tolerance`` of a
+        position. For a point robot with ``workspace.squeeze``, it also has all polygons that a chain of touching
+        polygons joins to them. If one part has no polygon, return the space itself and None.
         """
         polygons = shapely.get_parts(self._passable)
         may_squeeze = self.robot.circumscribed_radius == 0 and self.workspace.squeeze

@@ -384,10 +384,10 @@ class FamilyTask:
     goals_at_once: ClassVar[int] = 1
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], None]:
-        """Return a list with the largest tree within the limits, and its leaves, for the only oracle in ``oracles``.
+        """Return ``([(tree, leaves)], None)``, with the largest tree within the limits, for the only oracle.
 
-        The list has None if no sample has a path to the goal. The second result is None. (:class:`WorstFirst` returns
-        the sources of the leaves there.)
+        If no sample has a path to the goal, return ``([None], None)``. The last None stands where
+        :class:`WorstFirst` returns the sources of all leaves.
         """
         (oracle,) = oracles
         goal = goal_samples(oracle, self.shared)
