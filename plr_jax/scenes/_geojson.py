@@ -151,8 +151,9 @@ def _workspace_of(
 ) -> Workspace:
     """Return a workspace whose obstacles or, if ``polygons`` is "free", whose free space are the polygons.
 
-    ``geometry`` is a Shapely geometry of polygons. If ``bounds`` is None, the bounds are its bounding box. ``squeeze`` says whether paths may pass
-    between obstacles that touch in a point. A warning tells if coordinates look like degrees.
+    ``geometry`` is a Shapely geometry of polygons. If ``bounds`` is None, the bounds are its bounding box.
+    ``squeeze`` says whether paths may pass between obstacles that touch in a point. A warning tells if coordinates
+    look like degrees.
     """
     parts = enumerate(_parts(shapely.force_2d(geometry)))
     shapes = [as_polygon(f"polygon {i}", part) for i, part in parts if not part.is_empty]
