@@ -45,9 +45,9 @@ def build(
         str,
         typer.Argument(
             metavar="MAP",
-            help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
-            'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), '
-            "well-known text (.wkt), a Moving AI grid (.map), polygons with holes (.json), a scene (.json).",
+            help=f"A scene ({', '.join(SCENES)}) or a file that plr_jax.scenes.read_workspace reads, such as a picture "
+            '(.png), a map of map_server (.yaml; costs are ignored), or GeoJSON (bounded by its "bbox", or else by its '
+            "polygons).",
             autocompletion=lambda: list(SCENES),
         ),
     ],

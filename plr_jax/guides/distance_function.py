@@ -21,8 +21,8 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 
 # Maps
 
-A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads pictures, ROS `map_server` YAML,
-GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
+A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads files, such as pictures, ROS
+`map_server` YAML, GeoJSON and WKT. `Workspace.from_mask(free)` takes pixels and
 `Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
 obstacles, with polygons inscribed in the arcs of the round corners, so distances are never too long. With
 `outside=True`, the polygons lie around the arcs, so paths keep the radius, up to rounding. `plr_jax.scenes` has
