@@ -42,7 +42,7 @@ class Viewpoints:
     """
 
     points: Vectors
-    owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
+    owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: where `edge` starts, or inside it
     edge: Int[np.ndarray, " sectors"]  # the boundary edge at the right of each sector
 
     def __getitem__(self, rows: slice | Int[np.ndarray, " some"]) -> "Viewpoints":
