@@ -64,8 +64,8 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     the bounds and one another during all motions; touching is allowed. Motions are straight, at constant rates, and
     turn the shorter way; a half turn is counterclockwise.
 
-    A point robot may be outside of free space by twice the workspace's ``tolerance``; if the path has 32-bit floats,
-    also by the rounding of its coordinates. A point robot may not cross a wall of ``Workspace.free_space``, however
+    A point robot may be outside of free space by twice the workspace's ``tolerance``. If the path has 32-bit floats,
+    the rounding of its coordinates is added. A point robot may not cross a wall of ``Workspace.free_space``, however
     thin.
 
     An invalid path is reported, and raises no error. ``ValueError`` is raised if ``problem`` is not a Problem, or
