@@ -277,14 +277,15 @@ def _require_connected(problem: Problem) -> None:
 def separation(a: Any, b: Any) -> float:
     """Return the distance between two Shapely geometries; if they overlap, minus the depth of the overlap.
 
-    The depth of a point in a shape is the point's distance to the shape's boundary. The depth of two shapes is
-    estimated from the area and the perimeter of their intersection.
+    The depth of a point in a polygon is the point's distance to the polygon's boundary. The depth of two polygons is
+    estimated from the area and the perimeter of their intersection. If one shape is a segment, or both are points,
+    the depth is 0.
     """
-    if (distance := shapely.distance(a, b)) > 0 or a.geom_type == b.geom_type == "Point":
+    if (distance := shapely.distance(a, b)) > 0 or shapely.get_dimensions([a, b]).max() < 2:
         return distance
     if "Point" in (a.geom_type, b.geom_type):
-        point, shape = (a, b) if a.geom_type == "Point" else (b, a)
-        return -shapely.distance(point, shapely.boundary(shape))
+        point, polygon = (a, b) if a.geom_type == "Point" else (b, a)
+        return -shapely.distance(point, shapely.boundary(polygon))
     overlap = shapely.intersection(a, b)
     area = shapely.area(overlap)
     return -2 * area / shapely.length(overlap) if area > 0 else 0.0

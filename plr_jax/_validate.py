@@ -64,8 +64,8 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     the bounds and one another during all motions; touching is allowed. Motions are straight, at constant rates, and
     turn the shorter way; a half turn is counterclockwise.
 
-    A point robot may be outside of free space by twice the workspace's ``tolerance``; if the path has 32-bit floats,
-    also by the rounding of its coordinates. A point robot may not cross a wall of ``Workspace.free_space``, however
+    A point robot may be outside of free space by twice the workspace's ``tolerance``. If the path has 32-bit floats,
+    the rounding of its coordinates is added. A point robot may not cross a wall of ``Workspace.free_space``, however
     thin.
 
     An invalid path is reported, and raises no error. ``ValueError`` is raised if ``problem`` is not a Problem, or
@@ -306,21 +306,26 @@ def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, fl
     """
     most = _tolerance(problem.workspace)
     points = [i for i, robot in enumerate(problem.robots) if robot.circumscribed_radius <= most]
-    crossings = [(when, i) for i in points for when in _crossings(problem.workspace, path[:, i, :2], margin)[:1]]
-    if not crossings:
+    first = {i: _first_crossing(problem.workspace, path[:, i, :2], margin) for i in points}
+    if not (crossings := [(when, i) for i, when in first.items() if when is not None]):
         return None
     when, i = min(crossings)
     message = f"Robot {i} crosses a wall, or squeezes between obstacles that touch, in the motion from step {when}."
     return i, when, message
 
 
-def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
-    """Return the indices of the motions in which a point robot crosses a wall or a contact.
+def _first_crossing(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> int | None:
+    """Return the index of the first motion in which a point robot crosses a wall or a contact; None if it never does.
 
-    A contact is a point where obstacles touch. The robot's path is ``track``. Walls, and contacts unless
-    ``workspace.squeeze``, divide the free space within ``margin`` of a motion into parts. A motion begins in the part
-    nearest to its start, or in a part that overlaps the last part of the previous motion. If the motion ends in
-    another part, the robot crosses a wall or contact.
+    A contact is a point where obstacles touch. The robot's path is ``track``; the robot may be outside of free space
+    by ``margin``. A motion is *doubtful* if it leaves the free space, or comes within ``margin`` of a contact. Walls,
+    and contacts unless ``workspace.squeeze``, divide the free space near a doubtful motion into parts. The robot may
+    begin the motion in these parts:
+
+    - After another doubtful motion: in the parts that overlap a part in which that motion may have ended.
+    - Otherwise: in the part nearest to the robot. At a contact, several parts are nearest.
+
+    If the robot ends the motion in none of these parts, it crosses a wall or a contact.
     """
     # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
@@ -335,7 +340,7 @@ def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin
     at_contact = contacts.query(points[[0, -1]], predicate="dwithin", distance=margin)[0]
     is_loose[-at_contact] = True  # index 0 of both points is row 0, index 1 is row -1
     # 3. Follow the point from part to part.
-    crossings, part_before = [], None
+    part_before = None
     for k in np.flatnonzero(is_doubtful).tolist():
         parts = shapely.get_parts(shapely.intersection(workspace.free_space, shapely.buffer(segments[k], margin)))
         parts = parts[shapely.area(parts) > 0]
@@ -349,8 +354,8 @@ def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin
         is_reached = np.isin(group, group[is_reached]) & (gaps[1] <= margin)
         part_before = shapely.union_all(parts[is_reached])
         if not (is_reached & (gaps[1] <= most[1])).any():
-            crossings.append(k)
-    return crossings
+            return k
+    return None
 
 
 def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | None:

@@ -4,6 +4,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from robot_helpers import AnyShape
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, makespan, path_cost
 from plr_jax._problem import motion_costs, separation
@@ -37,6 +38,8 @@ def test_robots_may_touch_walls_and_robots():
     problem([(0.2, 0.5, 0)], [(0.2, 0.3, 3 * np.pi)], [BAR])
     problem([(0.2, 0.1, 0), (0.3, 0.4, np.pi / 2)], [(0.2, 0.9, 0), (0.8, 0.9, 0)], [BAR, BAR])
     problem([(0.2, 0.1, 0), (0.2, 0.2, 0)], [(0.2, 0.9, 0), (0.8, 0.9, 0)], [BAR, BAR])
+    rod, pole = AnyShape(((-0.1, 0), (0.1, 0)), dof=2), AnyShape(((0, -0.1), (0, 0.1)), dof=2)
+    problem([(0.2, 0.5)] * 3, [(0.2, 0.9)] * 3, [PointRobot(), rod, pole])
 
 
 IMPOSSIBLE = [

@@ -130,6 +130,7 @@ ABOVE, BELOW, AT = (0.5, 1.5), (1.5, 0.5), (1, 1)  # on either side of the conta
 CROSSINGS = [
     ([ABOVE, BELOW], 0),
     ([ABOVE, AT, BELOW], 1),
+    ([ABOVE, BELOW, AT, ABOVE], 0),
     ([ABOVE, AT, AT, BELOW], 2),
     ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
     ([ABOVE, (1 - 1e-10, 1 + 1e-10), (1 + 1e-10, 1 - 1e-10), BELOW], 2),

@@ -1,10 +1,10 @@
-"""The corners that see each cell of a partition of the plane: shortest paths from the cell may turn there first.
+"""The corners that see each cell of a partition, and at which shortest paths from the cell may turn first.
 
 The free space in a cell is divided into convex *pieces*. The whole cell is one piece unless a wall reaches into it;
 then the pieces are parts of the triangles of free space. The *sources* of a piece are the goal and the corners to
 which a shortest path from the piece may go first. When a cell is cut in two, the new cells inherit pieces and
-sources. A source of a new piece is dropped if tests prove that no point of the piece sees the source, or that no path
-from the piece turns at the source.
+sources. A new piece drops a source if it is proven that no point of the piece sees the source, or that no path from
+the piece turns at the source.
 """
 
 from dataclasses import dataclass, replace
@@ -174,8 +174,8 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 class Sight:
     """The goals and corners to which shortest paths may go first (*sources*), and data for two tests of sources.
 
-    The tests are whether a source sees a convex piece of free space, and whether a path from the piece may turn at
-    the source.
+    One test is whether a source sees a convex piece of free space. The other is whether a path from the piece may
+    turn at the source.
     """
 
     sources: Sources
@@ -415,7 +415,7 @@ class CellSources:
         return replace(moved, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
-        """Find the best source of each changed piece: the shortest path from the piece's center goes there first.
+        """Find each changed piece's best source, to which the shortest path from the piece's center goes first.
 
         Drop every other source of the piece that is proven to shorten the path from no point of the piece. Drop
         pieces without a path to the goal. ``changed`` says which pieces changed. ``by_center`` says, for each pair of

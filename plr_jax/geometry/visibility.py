@@ -57,7 +57,7 @@ class Viewpoints:
     """
 
     points: Vectors
-    owner: Int[np.ndarray, " sectors"]  # the point of each sector: at the start of `edge`, or inside of it
+    owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: where `edge` starts, or inside it
     edge: Int[np.ndarray, " sectors"]  # the boundary edge at the right of each sector
 
     def __getitem__(self, rows: slice | Int[np.ndarray, " some"]) -> "Viewpoints":

@@ -31,7 +31,7 @@ class Euclidean:
 
     @property
     def symmetries(self) -> tuple[Symmetry, ...]:
-        """Reflections about the goal, one for each axis."""
+        """Reflections about the goal: for each axis, a reflection that mirrors this axis."""
         return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
 
     def __call__(self, x: ArrayLike) -> Distances:

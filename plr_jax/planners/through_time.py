@@ -94,7 +94,7 @@ class Timetable:
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " rows"]:
-        """Return, for each row, the earliest row, not before it, in which robot ``i`` may come to rest at ``q``.
+        """Return, for each row, the first row at or after it in which robot ``i`` may come to rest at ``q``.
 
         The robot may come to rest if no other robot meets it at ``q`` for ``patience`` rows. The result is ``inf`` if
         there is no such row.
@@ -141,8 +141,8 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 
     The lattice has cells of size ``step``. At the motion's end, the robot must be free to rest for
     ``timetable.patience`` time steps. If no path is found after about ``max_states`` expanded states, the motion ends
-    at a reached configuration near the goal where the robot may rest, preferably far from walls. If there is no such
-    configuration, the motion is None.
+    at a reached configuration where the robot may rest: one far from walls if possible, and near the goal. If the
+    robot may rest nowhere, the motion is None.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
     length = step / ROWS_PER_STEP  # of a motion that takes one row

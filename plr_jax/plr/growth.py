@@ -177,10 +177,10 @@ def nodes_of_fit(
 def urgent_first(
     fit: CellFit, priority: Float[np.ndarray, " cells"], axis: Int[np.ndarray, " cells"]
 ) -> tuple[Float[np.ndarray, " cells"], Int[np.ndarray, " cells"]]:
-    """Return the priorities and split axes of cells, after replacing those of urgent cells (see :class:`CellFit`).
+    """Return the priorities and split axes of cells, with other values for urgent cells (see :class:`CellFit`).
 
-    An urgent cell gets a priority near the largest float, halved with each split, so that large cells come first. Its
-    axis becomes ``fit.urgent_axis``.
+    The priority of an urgent cell is near the largest float, halved with each split, so that large cells come first.
+    The axis of an urgent cell is ``fit.urgent_axis``.
     """
     is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
@@ -241,9 +241,9 @@ def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
 def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
-    Two kinds of axes are excluded: axes at the depth limit, and axes along which the halves would be shorter than
-    another side by a factor of more than ``2**MAX_ASPECT_BITS``, 8, in fractions of the domain's sides. If all axes
-    are excluded, return axis 0.
+    Two kinds of axes are excluded. Along the first kind, the cell has been halved ``max_axis_depth`` times. Along the
+    second kind, the halves would be shorter than 1/8 of another side, in fractions of the domain's sides; 8 is
+    ``2**MAX_ASPECT_BITS``. If all axes are excluded, return axis 0.
     """
     cost = _sum_of_squares_after_split(fit)
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)

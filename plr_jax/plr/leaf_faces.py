@@ -27,10 +27,10 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Each step replaces a pair by two pairs, one for each half of its larger node, or of the other node if the larger
-    node is a leaf. ``keep`` tells which new pairs to follow. A column of ``pairs`` has a node of ``a``, a node of
-    ``b`` and, in further rows, any data that new pairs copy. The columns of the result have indices of leaves instead
-    of nodes.
+    Each step replaces a pair by two pairs, one for each half of its larger node. If the larger node is a leaf, the
+    other node is halved. ``keep`` tells which new pairs to follow. A column of ``pairs`` has a node of ``a``, a node
+    of ``b`` and, in further rows, any data that new pairs copy. The columns of the result have indices of leaves
+    instead of nodes.
     """
     trees = a, b
     finished = [pairs[:, :0]]

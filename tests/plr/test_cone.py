@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from piece_helpers import TEN, box, general_workspace, lattice_workspace, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 from portable_helpers import case
+from shapely import Polygon
 
 from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace, from_bytes, scenes
 from plr_jax._types import Sources
@@ -141,6 +142,17 @@ def test_cones_in_files_name_the_nearest_goal():
         with pytest.raises(ValueError, match=r"not store which .*with_nearest_goal\(oracle.which\).* trace\(plr, x"):
             plr.which(x)
     assert (one.to_bytes()[2] & 15, cones.to_bytes()[2] & 15) == (5, 6), "readers of version 5 ask for an update"
+
+
+def test_no_goal_is_nearest_in_a_closed_room():
+    workspace = Workspace(TEN, [Polygon(box(4, 2, 6, 8), [box(4.2, 2.2, 5.8, 7.8)])])
+    nearest = NearestGoal([VisibilityGraph(workspace, goal) for goal in ((9, 1), (1, 5))])
+    plr = construct(nearest, Box(*TEN), leaf="cone", max_leaves=60)
+    f, x = plr.numpy(), [(5.0, 5.0), (1.0, 5.0)]
+    traced = jax.jit(lambda plr, x: plr.which(x))(plr, np.array(x))
+    for answers in (plr.which(x), f.which(np.array(x)), f.which(np.array(x * 9))[:2], traced):
+        assert answers.tolist() == [-1, 1]
+    assert [f.which(each) for each in x] == [-1, 1]
 
 
 def test_invalid_stored_goals_raise():

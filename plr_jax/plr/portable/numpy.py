@@ -180,9 +180,8 @@ def point_query(
     ]
     source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
     names: dict[str, Any] = {"descend": descend, "codes": table.table.data, **do.constants}
-    names["row_of"] = cache(lambda row: tuple(numbers[row]))
     names |= {"inf": np.float32(np.inf), "nan": np.float32(np.nan), "floor": floor, "sqrt": sqrt}
-    names |= {"float32": np.float32, "float64": np.float64}
+    names |= {"row_of": cache(lambda row: tuple(numbers[row])), "float32": np.float32, "float64": np.float64}
     exec(source, names)
     return names["query"]
 
@@ -273,7 +272,7 @@ class NumpyPLR:
         return self._of_leaves(x, self._waypoint_rows)
 
     def which(self, x: ArrayLike) -> Any:
-        """Return the index of the goal nearest to each point ``(..., dim)``, -1 outside; see :meth:`PLR.which`."""
+        """Return the index of the goal nearest to each point ``(..., dim)``, or -1; see :meth:`PLR.which`."""
         return _as_indices(self._of_leaves(x, self._goal_rows))
 
     def leaf(self, x: ArrayLike) -> Any:
@@ -302,7 +301,8 @@ class NumpyPLR:
 
     @cached_property
     def _goal_rows(self) -> Float[np.ndarray, " leaves_and_outside"]:
-        return np.append(require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored)), np.nan)
+        goals = require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored))
+        return np.append(np.where(np.isinf(self._columns[0]), np.nan, goals), np.nan)  # inf: a leaf without a path
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, " leaves_and_outside *row"]) -> Any:
         """Return ``rows[leaf]`` for the leaf of each point ``x``, ``(..., dim)``.
