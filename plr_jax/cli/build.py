@@ -45,9 +45,9 @@ def build(
         str,
         typer.Argument(
             metavar="MAP",
-            help=f"A scene ({', '.join(SCENES)}) or a file that plr_jax.scenes.read_workspace reads, such as a picture "
-            '(.png), a map of map_server (.yaml; costs are ignored), or GeoJSON (bounded by its "bbox", or else by its '
-            "polygons).",
+            help=f"A scene ({', '.join(SCENES)}) or a file that plr_jax.scenes.read_workspace reads, such as a "
+            'picture (.png), a map of map_server (.yaml; costs are ignored), or GeoJSON (bounded by its "bbox", or '
+            "else by its polygons).",
             autocompletion=lambda: list(SCENES),
         ),
     ],
