@@ -21,8 +21,8 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 
 - `build MAP` computes the exact distance to a goal and compresses it. `MAP` is one of the scenes `maze`, `thin_maze`
   and `floor_plan`, or a file that `plr_jax.scenes.read_workspace` reads, such as a picture, YAML of `map_server`,
-  or GeoJSON. A file needs `--goal X,Y`, unless it is a scene of one robot; several goals give the distance to the nearest,
-  for example to exits. The output has proven bounds; `--leaf-bounds` proves tighter ones for each leaf.
+  or GeoJSON. A file needs `--goal X,Y`, unless it is a scene of one robot; several goals give the distance to the
+  nearest, for example to exits. The output has proven bounds; `--leaf-bounds` proves tighter ones for each leaf.
   `--leaf best`, the default, chooses a leaf model. `--max-bytes` limits the file; for a small largest error, give
   `--tolerance` instead.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
