@@ -170,7 +170,10 @@ class Run:
         # 1. Record the path, if there is one.
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             if (path := sequential_path(self.problem)) is not None:
-                self.record(with_early_departures(self.problem, path), _SEQUENTIAL, math.inf)
+                # Early departures take up to a tenth of a second: until then, an interrupt keeps the path as it is.
+                self.record(path, _SEQUENTIAL, math.inf)
+                self.path = with_early_departures(self.problem, path)
+                self.history[-1] = self.history[-1][0], path_cost(self.problem, self.path)  # equal but for rounding
             self.end_phase("search")
         # 2. Compute the lower bound, and the largest cost that is accepted. Without a cost factor, only a path whose
         #    cost is the lower bound needs no improvement.

@@ -125,6 +125,9 @@ def test_interrupted_sequential_path_gets_early_departures(monkeypatch):
     interrupt_at(monkeypatch, driver, "first_step", 1)
     solution = planned(problem, None)
     assert solution.status is Status.INTERRUPTED and solution.makespan < 0.8 * solution.cost
+    interrupt_at(monkeypatch, driver, "with_early_departures", 1)
+    solution = planned(problem)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
 
 def test_best_first_search_stops_at_memory_limit():
