@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import typer
 
 import plr_jax
-from plr_jax import construct, plot, scenes
+from plr_jax import plot, scenes
 from plr_jax._types import ArrayLike
 from plr_jax.cli.build import build
 from plr_jax.cli.files import plot as plot_file
@@ -31,7 +31,7 @@ def run(output: Path) -> None:
     problem = scenes.four_rooms(4)
     typer.echo("Four rooms around a center with narrow doors; four robots move to the opposite rooms at once.")
     oracles = plr_jax.robot_distance_fns(problem)
-    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=DEFAULT_BYTES) for oracle in oracles]
+    plrs = [plr_jax.construct(oracle, problem.workspace.bounds, max_bytes=DEFAULT_BYTES) for oracle in oracles]
     typer.echo(f"  heuristic  {len(plrs)} PLRs, {sum(plr.num_bytes for plr in plrs):,} bytes")
     solution = solve(problem, plr_jax.BLOptions(), plr_jax.sum_of_distances(plrs))
     if solution.status is plr_jax.Status.INTERRUPTED:

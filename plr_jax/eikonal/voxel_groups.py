@@ -58,8 +58,11 @@ class VoxelGroups:
         free = np.pad(free, list(zip(before, after, strict=True)))
         part = free.copy()
         free_blocks, part_blocks = _blocks(free, size), _blocks(part, size)  # views: to write a block writes voxels
-        within = tuple(range(dim, 2 * dim))  # axes of voxels within a group
-        is_full, has_part = free_blocks.all(axis=within), free_blocks.any(axis=within)
+        is_full, has_part = free, free
+        for axis in range(dim):
+            split = (*is_full.shape[:axis], shape[axis], size, *is_full.shape[axis + 1 :])
+            is_full = np.logical_and.reduce(is_full.reshape(split), axis + 1)
+            has_part = np.logical_or.reduce(has_part.reshape(split), axis + 1)
         # 2. The voxel `x` of each group, and the part of the group that is joined to it. In groups that are not full
         #    (`mixed`, one in each row), the first voxel by `order` is x: a goal's voxel has -1, free voxels have
         #    their squared distance from the middle, and blocked voxels a larger number.

@@ -89,8 +89,12 @@ class VoxelGrid:
 
     def numbers_along(self, axis: int, x: Float[np.ndarray, " n"]) -> tuple[NumbersAlong, NumbersAlong]:
         """Return, for each coordinate along one axis, the least and largest voxel number that contains it."""
+        # The quotient is right up to rounding: compare exactly with the faces below and above that voxel.
         faces = self.faces[axis]
-        return np.searchsorted(faces, x, "left") - 1, np.searchsorted(faces, x, "right") - 1
+        guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
+        guess -= x < faces[guess]
+        above = guess + (x >= faces[guess + 1])
+        return above - (x == faces[above]), above
 
     @cached_property
     def _blocked(self) -> "Sums":

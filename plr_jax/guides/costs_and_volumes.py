@@ -66,8 +66,7 @@ print(plr_jax.metrics.error_map(plr, truth, nodes[space.is_free(nodes)][::100]))
 
 # Volumes
 
-Voxels are `free[x, y, z]`, unlike rasters. `plr_jax.scenes.read_volume` reads `.npy` and `.3dmap`. For a mesh, use
-trimesh: `free = ~trimesh.load_mesh("room.stl").voxelized(pitch=0.1).fill().matrix`.
+Voxels are `free[x, y, z]`, unlike rasters. `scenes.read_volume` reads `.npy` and `.3dmap`; trimesh voxelizes meshes.
 
 ```python
 free = np.ones((12, 12, 8), bool)
