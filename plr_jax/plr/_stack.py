@@ -1,12 +1,22 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-The lookup table of a stack has the blocks and slots of all PLRs (``tables.py``), one PLR after another. Grids of
-blocks are equal. A slot has the row of a leaf's parameters; leaves with equal parameters share a row.
+A stack finds a point's leaf in a *trie*, level by level. Each level consists of *pages*: a page is a table with an
+entry for each cell of a grid. The grid of a PLR's first page covers its domain. The grid of any other page covers a
+cell of the level above that overlaps several leaves. All pages are parts of one array. An odd entry ``2 * i + 1``
+leads to the page that starts at index ``i``, an even entry ``2 * i`` to row ``i`` of the leaf parameters. The first
+``num_rows`` entries refer to themselves: entry ``i`` is ``2 * i``. So once a row is found, reading further levels
+does not change it::
+
+    0             num_rows                                                                       entries
+    | 0, 2, 4, ... | first page of PLR 0 | first page of PLR 1 | ... | other pages of PLR 0, 1, ... |
+
+Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import field, replace
 from functools import partial
+from itertools import pairwise
 from math import prod
 from typing import Any
 
@@ -22,60 +32,123 @@ from plr_jax.plr._plr import PLR, LowerBound, as_plrs
 from plr_jax.plr.frame import (
     FRACTION_BITS,
     Outside,
+    PerAxis,
     as_outside,
-    block_shapes,
+    enumerate_boxes,
     in_parts,
     is_far,
+    leaves_in_blocks,
+    num_pairs,
     require_resolved,
+    row_major,
+    spread_bits,
     unresolved_types,
 )
 from plr_jax.plr.query import bounds_of_tables, evaluate_tables
-from plr_jax.plr.tables import (
-    Blocks,
-    PerPointTable,
-    Tables,
-    arrange_parameters,
-    choose_block_bits,
-    index_bits,
-    leaves_of_slots,
-    num_slots,
-    pack_blocks,
-)
+from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
-_BLOCK_BITS = (8, 10, 12, 14, 16)  # halvings of the grid of blocks, to choose from
-_PLRS_TO_CHOOSE = 8  # most PLRs whose memory decides the choice
-_MOST_SLOTS = 2**25  # most slots of one PLR
-_MOST_INDICES = 2**31  # most slots of a stack
+_FIRST_BITS = 10  # index bits of first pages: those of 1,000 PLRs take 4 MB, and most points need no other page
+_PAGE_BITS = 6  # most index bits of other pages
+_MOST_ENTRIES = 2**25  # most entries of one PLR; the estimate counts a page of k leaves up to k times
+_MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
-def merged_lookup(
-    partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]]
-) -> tuple[UInt32[Array, "2 dim"], Blocks, UInt32[Array, " slots"], int]:
-    """Build the lookup table of several PLRs, whose leaves are ``partitions``; ``rows`` has the row of each leaf.
+def trie_levels(bits: PerAxis) -> list[PerAxis]:
+    """Choose the grids of a trie's levels: return how often each grid halves each axis of the domain.
 
-    Return the arrays ``bits``, ``blocks`` and ``leaf_of_slot`` of :class:`Tables`, with rows in place of leaves, and
-    log2 of the number of blocks of each PLR.
+    The first array is 0 (the whole domain), the last is ``bits``, the halvings of the finest leaves. The first level
+    has up to ``2**_FIRST_BITS`` cells. The other halvings are spread evenly over as few levels as possible, with at
+    most ``_PAGE_BITS`` halvings in each.
     """
-    bits = np.max([cells.depth.max(axis=0) for cells in partitions], axis=0)
-    some = partitions[:: -(-len(partitions) // _PLRS_TO_CHOOSE)]
-    block_bits = choose_block_bits(some, bits, _MOST_SLOTS, _BLOCK_BITS, 4)
-    shapes, offsets, row_of_slot, total = [], [], [], 0
+    ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
+    for levels_left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
+        missing = bits - ends[-1]
+        ends.append(ends[-1] + spread_bits(missing, -(-int(missing.sum()) // levels_left)))  # rounded up
+    return ends
+
+
+def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[PerAxis]) -> Trie:
+    """Build the trie of several PLRs.
+
+    ``partitions`` has the leaves of each PLR, ``rows`` the row of each leaf in the table of leaf parameters, and
+    ``levels`` the result of :func:`trie_levels`. ``ValueError`` if leaves are too deep or entries are too many.
+    """
+    # 1. Masks and shifts that turn the fraction bits between two levels into a row-major index into a page:
+    #
+    #    fraction of a point along an axis   | above: level's begin | step bits | below end |   FRACTION_BITS bits
+    #    index into a page                   | step bits of axis 0 | step bits of axis 1 | ... |
+    ends = np.array(levels)
+    steps = np.diff(ends, axis=0)
+    shifts = FRACTION_BITS - ends[1:] - (np.cumsum(steps[:, ::-1], axis=1)[:, ::-1] - steps)
+    bits = np.stack([((1 << steps) - 1) << (FRACTION_BITS - ends[1:]), shifts], axis=1)
+    # 2. Entries of each PLR. A level has at most a page for each pair of a deeper leaf and a cell that it overlaps.
+    num_rows = 1 + max(int(row.max()) for row in rows)
+    total = num_rows + len(partitions) * (1 << int(levels[1].sum()))
+    first_pages, others = [], []
     for cells, row in zip(partitions, rows, strict=True):
-        shape = None if block_bits is None else block_shapes(cells, block_bits)
-        if block_bits is None or shape is None or num_slots(cells, shape) > _MOST_SLOTS:
+        most = 0.0
+        for begin, end in pairwise(levels):
+            pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
+            most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (end - begin).sum()
+        if most > _MOST_ENTRIES or (shifts < 0).any():  # a left shift is not supported
             raise ValueError("A PLR is too deep for a stack: construct it with a lower max_depth, or call it alone.")
-        offset, leaf = leaves_of_slots(cells, block_bits, shape, True)
-        shapes.append(shape)
-        offsets.append(total + offset[:-1])
-        row_of_slot.append(row[leaf].astype(np.uint32))
-        total += len(leaf)
+        first_page, *later_levels = _pages(cells, row, levels, total)
+        first_pages.append(first_page)
+        others += later_levels
+        total += sum(map(len, later_levels))
     if total >= _MOST_INDICES:
         message = f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
         raise ValueError(message)
-    blocks = pack_blocks(np.concatenate(shapes), np.concatenate([*offsets, [total]]), FRACTION_BITS - block_bits)
-    slots = padded(np.concatenate(row_of_slot), size_in_eighths(total))
-    return index_bits(block_bits), blocks, jax.device_put(slots), int(block_bits.sum())
+    # 3. Entries of rows, first pages and other pages.
+    entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
+    entries = padded(entries, size_in_eighths(total))
+    return Trie(*jax.device_put((entries, bits.astype(np.uint32), np.uint32(num_rows))))
+
+
+def _pages(
+    cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[PerAxis], next_start: int
+) -> Iterator[UInt32[np.ndarray, " entries"]]:
+    """Yield the trie's entries for one PLR, an array for each level.
+
+    ``row`` has the index of each leaf's row of parameters, ``levels`` the result of :func:`trie_levels`.
+    ``next_start`` is the index in the trie at which the PLR's second level begins.
+    """
+    # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
+    page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
+    for level, (begin, end) in enumerate(pairwise(levels)):
+        entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
+        # 1. Leaves that the level resolves fill whole entries. Such leaves are not deeper than its `end` grid, but
+        #    deeper than its `begin` grid, except in the first level.
+        is_resolved = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (level == 0))
+        resolved = cells[is_resolved]
+        halvings = end - resolved.depth
+        leaf, place = enumerate_boxes(resolved.position << halvings, np.int64(1) << halvings)
+        entries[_page_entries(place, page, begin, end)] = 2 * row[is_resolved][leaf]
+        # 2. Entries that overlap deeper leaves lead to pages of the next level, one after another.
+        _, place = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
+        page_below, first = np.unique(row_major(place, end), return_index=True)
+        if len(page_below):
+            page_bits = (levels[level + 2] - end).sum()
+            starts = next_start + (np.arange(len(page_below)) << page_bits)
+            entries[_page_entries(place[first], page, begin, end)] = 2 * starts + 1
+            next_start = int(starts[-1]) + (1 << page_bits)
+        yield entries.ravel().astype(np.uint32)
+        page = page_below
+        if not len(page):
+            return
+
+
+def _page_entries(
+    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: PerAxis, end: PerAxis
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
+
+    Pages belong to cells of the coarser ``begin`` grid; ``page`` has the row-major indices of these cells. A page has
+    an entry for each cell of the ``end`` grid inside the page's cell.
+    """
+    step = end - begin
+    return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
 
 @pytree
@@ -83,13 +156,11 @@ class _SameShapeGroup:
     """The merged lookup tables of all PLRs of a stack that share a leaf model, periodic axes and mirrors."""
 
     frame: Tables  # without leaves; each array is one that all PLRs share, or has those of all PLRs, flattened
-    bits: UInt32[Array, "2 dim"]  # see :func:`merged_lookup`, like the next two fields and the last field
-    blocks: Blocks
-    row_of_slot: UInt32[Array, " slots"]
+    trie: Trie
     leaf_parameters: Float[Array, "count rows"] | Float[Array, " numbers"]  # only distinct rows
     band: Any  # proven bounds of each row, ``(2, rows)``, as ``PLR.band``; None if a PLR has none
     shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})  # of an array; None if all share it
-    block_bits: int = field(metadata={"static": True})
+    first_bits: int = field(metadata={"static": True})  # index bits of the first level of the trie
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
@@ -104,7 +175,7 @@ class _SameShapeGroup:
         rows, distinct, num_rows = [], [], 0
         has_proof = all(plr.band is not None and plr.has_arrays_of_file for plr in plrs)
         for plr, each in zip(plrs, tables, strict=True):  # a row ends with the leaf's two bounds, if there is a proof
-            # If parameters are stored by slot, the first slots are those of the leaves, in their order.
+            # In paged tables, parameters are stored by slot, and the first slots are the leaves themselves.
             count = each.leaf.num_leaf_parameters(each.dim)
             numbers = np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
@@ -120,11 +191,12 @@ class _SameShapeGroup:
             num_rows += len(first)
         table = padded(np.concatenate(distinct), size_in_eighths(num_rows))
         band = jax.device_put(table[:, count:].T) if has_proof else None
-        # 3. Build the lookup table that leads to the rows.
-        *lookup, block_bits = merged_lookup([plr.cells for plr in plrs], rows)
+        # 3. Build the trie that leads to the rows.
+        levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
+        trie = build_trie([plr.cells for plr in plrs], rows, levels)
         frame = jax.tree_util.tree_structure(frames[0]).unflatten(arrays)
         numbers = jax.device_put(arrange_parameters(np.ascontiguousarray(table[:, :count])))
-        return cls(frame, *lookup, numbers, band, tuple(shapes), block_bits)
+        return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
         """Return tables that evaluate another PLR at each point; ``which`` has the index of this PLR in the group."""
@@ -133,14 +205,8 @@ class _SameShapeGroup:
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(arrays, self.shapes, strict=True)
         ]
-        return replace(
-            structure.unflatten(picked),
-            bits=self.bits,
-            blocks=self.blocks,
-            first_block=which << np.uint32(self.block_bits),
-            leaf_of_slot=self.row_of_slot,
-            leaf_parameters=self.leaf_parameters,
-        )
+        trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
+        return replace(structure.unflatten(picked), trie=trie, leaf_parameters=self.leaf_parameters)
 
 
 @pytree
@@ -244,7 +310,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
             each,
             bits=np.zeros_like(each.bits),
             blocks=None,
-            is_by_slot=False,
+            pages=None,
             leaf_of_slot=np.zeros(0, np.uint16),
             leaf_parameters=np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
         )

@@ -23,7 +23,7 @@ _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); _MAX_FL
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 _MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
-_DEEP_AXIS_BITS = 14  # most halvings along an axis of deep trees in small files, so that tables stay small
+_PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
 # Limit of entries of lookup tables: 2**9 for each byte of the file's size class, from 2**20 to 2**27.
 _MAX_BITS_BEYOND_CLASS = 9
 _LEAST_ENTRIES_BITS = 20
@@ -153,7 +153,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(_MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return max(slot_bits_of_rows(rows) // dim, _DEEP_AXIS_BITS if is_deep else 0)
+    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if is_deep else 0)
 
 
 def max_entries(num_bytes: int) -> int:

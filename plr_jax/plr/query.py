@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
-from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, gather
+from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie, gather
 
 Points = Float[Array, "*batch dim"]
 Values = Float[Array, "*batch"]
@@ -120,7 +120,7 @@ def lookup(tables: Tables, x: Points) -> Bits:
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
-    return gather(tables.leaf_of_slot, row).astype(np.uint32) if tables.is_by_slot else row
+    return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(np.uint32)
 
 
 # Points: their type, and their place in the domain
@@ -242,17 +242,21 @@ def find_row(tables: Tables, x: Points) -> Bits:
     Along periodic axes, points must lie in the domain.
     """
     # The highest bits of a point's position select an entry of a flat table, or a block of a coarse grid. In a block,
-    # lower bits select an entry of the block's table:
+    # lower bits select an entry of the block's table or page:
     #
     #     fraction bits of an axis  | block | entry within the block | not used |
     #
+    if tables.trie is not None:
+        return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
     index = _join_bits(fractions, *tables.bits)
-    if tables.first_block is not None:
-        index = tables.first_block + index
+    if tables.pages is not None:  # the row is the page's start, plus those bits below the block that the word selects
+        mask, right, start = tables.pages.bits
+        word = gather(tables.pages.words, index)
+        return (word >> (start[0] & _SHIFTS)) + (word & _join_bits(fractions, mask, right))
     if tables.blocks is not None:
         index = _index_in_block(tables.blocks, fractions, index)
-    return index if tables.is_by_slot else gather(tables.leaf_of_slot, index).astype(np.uint32)
+    return gather(tables.leaf_of_slot, index).astype(np.uint32)
 
 
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
@@ -292,6 +296,30 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
         if number == 0:
             start = word >> np.uint32(num_fields * blocks.width)
     return start + index
+
+
+def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
+    """Return the index of the parameters of each point's leaf in a stack of PLRs, by descending the stack's trie.
+
+    A trie is a lookup table that is read level by level, from coarse to fine.
+    """
+
+    # Entry 2 * i + 1 leads to the page that starts at entry i, where the point's bits select an entry. Entry 2 * i
+    # leads to row i; it reads entry i, which is 2 * i again.
+    def descend(entry: Bits, bits: UInt32[Array, "2 dim"]) -> Bits:
+        fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
+        is_page = np.uint32(0) - (entry & np.uint32(1))  # all ones or zero
+        return gather(trie.entries, (entry >> np.uint32(1)) + (_join_bits(fractions, bits[0], bits[1]) & is_page))
+
+    entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
+    for level in range(1, len(trie.bits)):
+        # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
+        # always holds, but XLA cannot know that, and does not fuse the loops.
+        is_used = trie.bits[level].any()
+        entry = jax.lax.cond(
+            is_used, lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
+        )
+    return entry >> np.uint32(1)
 
 
 # Functions of leaves

@@ -13,7 +13,7 @@ from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_
 from plr_jax import Box
 from plr_jax.plr import Plane, query, tables
 from plr_jax.plr.frame import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows
-from plr_jax.plr.tables import build_tables, choose_block_bits
+from plr_jax.plr.tables import build_pages, build_tables
 from plr_jax.plr.tree import Cells
 
 
@@ -69,18 +69,16 @@ def evaluate_tables(tables, x):
     return query.evaluate_tables(tables, jnp.asarray(x, jnp.float32))
 
 
-@pytest.mark.parametrize("kind", ["flat", "blocks", "by slot"])
+@pytest.mark.parametrize("kind", ["flat", "blocks", "pages"])
 @given(seed=st.integers(0, 1000), dim=st.sampled_from([1, 2, 4, 10]), num_splits=st.integers(0, 60))
 def test_lookup_finds_the_leaf_that_contains_the_point(kind, seed, dim, num_splits):
     cells = random_partition(seed, dim, num_splits)
     bits = cells.depth.max(axis=0)
-    assume(
-        bits.max() <= 15 and bits.sum() <= 20 and (kind == "flat" or num_splits) and (kind != "by slot" or dim < 10)
-    )
+    assume(bits.max() <= 15 and bits.sum() <= 20 and (kind == "flat" or num_splits) and (kind != "pages" or dim < 10))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tables, "slot_bits_of_rows", lambda rows: 0 if kind == "blocks" else 20)
-        found = tables_of(cells) if kind == "by slot" else tables_of_numbers(cells, 40_000)
-    assert (found.blocks is not None, found.is_by_slot) == (kind != "flat", kind == "by slot")
+        found = tables_of(cells) if kind == "pages" else tables_of_numbers(cells, 40_000)
+    assert (found.blocks is not None, found.pages is not None) == (kind == "blocks", kind == "pages")
     assert_finds_leaves(found, cells, seed)
 
 
@@ -134,51 +132,45 @@ def assert_finds_leaves(tables, cells, seed=0):
 
 
 @pytest.mark.parametrize(("max_axis_depth", "num_words", "num_slots"), [(10, 2**12, 2**13), (13, 2**16, 2**14)])
-def test_tables_of_parameters_have_the_shape_of_their_depth(max_axis_depth, num_words, num_slots):
+def test_pages_have_the_shape_of_their_depth(max_axis_depth, num_words, num_slots):
     cells = partition_around_corners(0, max_axis_depth=max_axis_depth)
     assert (cells.depth.max(axis=0) == max_axis_depth).all()
     tables = tables_of(cells)
-    assert tables.is_by_slot and [word.shape for word in tables.blocks.words] == [(num_words,)]
+    assert tables.blocks is None and tables.pages is not None and tables.pages.words.shape == (num_words,)
     assert tables.leaf_of_slot.shape == (num_slots,) and tables.leaf_parameters.shape == (3, num_slots)
     assert_finds_leaves(tables, cells)
     rng, domain = np.random.default_rng(0), Box((-3, 1), (5.3, 2))
     numbers = rng.normal(size=(len(cells), 3))
-    by_slot, other = (build_tables(domain, cells, numbers, leaf, 512) for leaf in (DeepPlane(), Plane()))
-    assert by_slot.is_by_slot and not other.is_by_slot
+    paged, other = (build_tables(domain, cells, numbers, leaf, 512) for leaf in (DeepPlane(), Plane()))
+    assert paged.pages is not None and other.pages is None
     x = rng.uniform((-3.1, 0.9), (5.4, 2.1), size=(5000, 2)).astype(np.float32)
-    np.testing.assert_array_equal(query.evaluate_points(by_slot, x), evaluate_tables(other, x))
+    np.testing.assert_array_equal(query.evaluate_points(paged, x), evaluate_tables(other, x))
 
 
 def test_blocks_are_as_coarse_as_the_slots_allow():
     cells = partition_around_corners(0)
-    bits = cells.depth.max(axis=0)
-    for most_slots, choices, expected in (
-        (2**16, (10, 12, 14), 14),
-        (2**14, (10, 12, 14, 16), 16),
-        (600, (16,), None),
-    ):
-        block_bits = choose_block_bits([cells], bits, most_slots, choices, 14)
-        assert (None if block_bits is None else block_bits.sum()) == expected
+    paged = [build_pages(cells, slots, 3) for slots in ([2**16], [2**14], [600])]
+    assert [found and len(found[0].words) for found in paged] == [2**14, 2**16, None]
 
 
-def test_leaves_of_the_greatest_depth_are_found():
+def test_leaves_of_the_greatest_depth_are_found_by_pages_and_blocks():
     for axes in ([0] * 23, [0] * 22 + [1] * 6, [0, 1] * 14, [0, 1, 2] * 9, [*range(20)]):
         cells = chain(axes)
         x = np.ldexp(cells.position + 0.25, -cells.depth)  # the finest are one last bit wide, whose middle is rounded
-        by_slot, other = tables_of(cells, 1000), tables_of_numbers(cells, 1000)
-        np.testing.assert_array_equal(lookup(by_slot, x), np.arange(len(cells)))
+        paged, other = tables_of(cells, 1000), tables_of_numbers(cells, 1000)
+        np.testing.assert_array_equal(lookup(paged, x), np.arange(len(cells)))
         np.testing.assert_array_equal(lookup(other, x), np.arange(len(cells)))
         if axes == [0, 1] * 14:
-            np.testing.assert_array_equal(jax.jit(query.lookup)(by_slot, x.astype(np.float32)), np.arange(len(cells)))
+            np.testing.assert_array_equal(jax.jit(query.lookup)(paged, x.astype(np.float32)), np.arange(len(cells)))
 
 
-def test_only_small_files_of_deep_models_store_parameters_by_slot():
+def test_large_trees_and_shallow_models_have_no_pages():
     cells = random_partition(0, 2, 20)
     small, large = (tables_of(cells, num_bytes) for num_bytes in (2**13, 2**20))
     assert small.leaf_of_slot.shape == (2**16,) and large.leaf_of_slot.shape == (2**13,)
     position = np.stack(np.meshgrid(*2 * [np.arange(2**8)], indexing="ij"), axis=-1).reshape(-1, 2)
-    assert not tables_of(Cells(np.full_like(position, 8), position), 2**16).is_by_slot
-    assert not tables_of_numbers(chain([0, 1] * 7), 512).is_by_slot
-    assert build_tables(UNIT, chain([0, 1]), np.zeros((3, 3)), DeepPlane(), 200).is_by_slot
+    assert tables_of(Cells(np.full_like(position, 8), position), 2**16).pages is None
+    assert tables_of_numbers(chain([0, 1] * 7), 512).pages is None
+    assert build_tables(UNIT, chain([0, 1]), np.zeros((3, 3)), DeepPlane(), 200).pages is not None
     with pytest.raises(ValueError, match=r"too deep for a query's tables: \[22, 22\] splits"):
         tables_of(chain([0] * 22 + [1] * 22), 200)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_of_numbers, walled
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
-from plr_jax.plr._stack import merged_lookup
+from plr_jax.plr._stack import build_trie, trie_levels
 from plr_jax.plr.leaves import leaf_names
 from plr_jax.plr.query import find_row
 from plr_jax.plr.tree import Cells
@@ -97,6 +97,10 @@ def test_wrong_arguments_raise(call, message):
 # One table of several partitions, against the cells' own integers.
 
 
+def levels_of_all(partitions):
+    return trie_levels(np.max([cells.depth.max(axis=0) for cells in partitions], axis=0))
+
+
 def rows_of(partitions):
     """Return a row for each leaf of all partitions."""
     first = np.cumsum([0, *map(len, partitions)])
@@ -105,15 +109,13 @@ def rows_of(partitions):
 
 def assert_points_find_rows(partitions, seed=0):
     """Ask at leaf centers and at multiples of 2**-16, many of which lie on cell borders, in every partition."""
-    rows = rows_of(partitions)
-    bits, blocks, row_of_slot, block_bits = merged_lookup(partitions, rows)
-    tables = tables_of_numbers(Cells.root(dim := partitions[0].dim), 100)
+    dim, levels, rows = partitions[0].dim, levels_of_all(partitions), rows_of(partitions)
+    tables = replace(tables_of_numbers(Cells.root(dim), 100), trie=build_trie(partitions, rows, levels))
     for number, (cells, row) in enumerate(zip(partitions, rows, strict=True)):
         x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(600, dim)) / 2.0**16
         x[: min(len(cells), 400)] = ((cells.position + 0.5) * 2.0**-cells.depth)[:400]
-        first_block = np.full(len(x), number << block_bits, np.uint32)
-        lookup = {"bits": bits, "blocks": blocks, "first_block": first_block, "leaf_of_slot": row_of_slot}
-        found = find_row(replace(tables, **lookup), jnp.asarray(x, jnp.float32))
+        start = tables.trie.start + np.full(len(x), number << levels[1].sum(), np.uint32)
+        found = find_row(replace(tables, trie=replace(tables.trie, start=start)), jnp.asarray(x, jnp.float32))
         np.testing.assert_array_equal(found, row[leaf_by_position(cells, x)])
 
 
@@ -129,12 +131,13 @@ def test_deep_leaves_are_found_beside_shallow_leaves(axes):
 
 
 def test_too_deep_partitions_are_refused():
-    """Also if the choice of blocks does not consider them."""
-    deep, too_deep = chain([0, 1] * 13), chain([0, 1] * 22)
-    for partitions in ([too_deep], [Cells.root(2)] * 9 + [too_deep]):
+    """Also if only their pages together would be too many."""
+    too_deep = chain([0, 1] * 22)
+    thin = Cells(np.full((1 << 17, 2), (17, 0)), np.stack([np.arange(1 << 17), np.zeros(1 << 17, int)], axis=1))
+    for partitions in ([too_deep], [thin, chain([1] * 17)]):
         with pytest.raises(ValueError, match="too deep for a stack"):
-            merged_lookup(partitions, rows_of(partitions))
-    merged_lookup([deep] * 9, rows_of([deep] * 9))
+            build_trie(partitions, rows_of(partitions), levels_of_all(partitions))
+    build_trie([thin], rows_of([thin]), levels_of_all([thin]))
 
 
 def test_one_point_is_answered_by_several_plrs():

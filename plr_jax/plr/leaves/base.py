@@ -48,7 +48,7 @@ class LeafModel(ABC):
     name: str
     num_samples: int = 96  # in a cell, by default
     least_bytes: int | float = 1  # of a leaf in a file, a power of two that may be a fraction
-    has_deep_trees: bool = False  # whether small files may have deep trees, whose tables store parameters by slot
+    has_deep_trees: bool = False  # whether small files may have deep trees, whose lookup tables have pages
     is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
     has_compact_code: bool = False  # whether the decoder of compact C headers evaluates the model
