@@ -18,6 +18,7 @@ from volume_files import VOXELS, array_files
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
 from plr_jax.plr.container import Header
+from plr_jax.plr.leaves import leaf_names
 
 _GRID = """type octile
 height 4
@@ -87,8 +88,7 @@ def _plr_files() -> list[bytes]:
     kinds = [
         (2, {"leaf": "plane", "max_leaves": 20}),  # stores floats
         (3, {"leaf": "plane", "max_bytes": 300}),  # stores integers
-        (2, {"leaf": "continuous", "max_leaves": 20}),
-        (1, {"leaf": "smooth", "max_leaves": 10}),
+        *((2, {"leaf": leaf, "max_leaves": 10}) for leaf in leaf_names() if leaf != "cone"),
     ]
     plrs = [construct(distance, Box([0.0] * dim, [1.0] * dim), **options) for dim, options in kinds]
     turned = ReedsShepp((0.1, 0.2, 0.4), 1), Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))

@@ -24,7 +24,8 @@ PLANNER_LAYERS = """_heuristics _solution / lattice /
     best_first lacam reservations sequential shorten through_time / driver / replanning"""
 PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
-LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{name}" for name in ("plane", "continuous", "cone"))
+LEAVES = (Path(__file__).parents[1] / "plr_jax" / "plr" / "leaves").iterdir()
+LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{path.stem}" for path in LEAVES if not path.stem.startswith(("__", "base")))
 OPENERS = re.compile(
     r"(what|of|where|who(m|se)?|which|th(e|o)se|th(at|is)|such|its?|they|them|their|s?he|we|our|your?|ones?|another|each|both"
     r"|some\w*|all|any(one|thing)?|none|nothing|every\w*|the (same|others?))\b(?!-)",

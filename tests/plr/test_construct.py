@@ -115,7 +115,7 @@ def rule(**options):
         (rule(num_samples=4) | {"leaf": "continuous"}, "samples must be an integer >= 5, got 4"),
         ({"seed": -1}, "seed must be an integer >= 0"),
         ({"leaf": 7}, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
-        ({"leaf": "cubic"}, "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
+        ({"leaf": "cubic"}, f"one of {', '.join(map(repr, leaf_names()))}, got 'cubic'"),
         ({"domain": ((0, 0), (1, 0))}, "positive width"),
         ({"domain": (3 * [0], 3 * [1]), "leaf": "smooth"}, "up to 2 dimensions, got 3. Use continuous leaves"),
         ({"domain": (7 * [0], 7 * [1]), "leaf": "continuous"}, "up to 6 dimensions, got 7. Use planes"),

@@ -198,7 +198,7 @@ def test_subnormal_coordinates_beyond_an_end_at_zero_are_outside():
 
 def test_files_of_earlier_releases_with_straight_lines_raise():
     refused = {path.stem for path in FOLDER.glob("*.plr")} - set(vector_names())
-    assert len(refused) == 3 and sum(path.stat().st_size for path in FOLDER.iterdir()) < 350_000
+    assert len(refused) == 3 and sum(path.stat().st_size for path in FOLDER.iterdir()) < 500_000
     for name in refused:
         with pytest.raises(ValueError, match=r"cannot be read as a PLR.*straight lines.* plr_jax 0.1 reads"):
             load_numpy(FOLDER / f"{name}.plr")
