@@ -384,8 +384,7 @@ def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vector
     opening_angle, closing_angle = (np.arctan2(u[:, 1], u[:, 0]) for u in (opening, closing))
     order = np.lexsort((opening_angle, views.owner))
     owner, first = np.unique(views.owner[order], return_index=True)
-    second = first + (np.diff(first, append=len(order)) > 1)
-    first, second = order[first], order[second]
+    first, second = order[first], order[first + (np.diff(first, append=len(order)) > 1)]
     gap, angle = np.zeros(len(views.points)), np.empty(len(views.points))
     gap[owner] = (opening_angle[second] - closing_angle[first]) % (2 * np.pi)
     angle[owner] = closing_angle[first] + gap[owner] / 2

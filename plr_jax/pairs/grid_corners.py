@@ -355,8 +355,7 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     # 1. Build the graph of corners that see each other.
     edges = _graph_of_corners(free, connectivity)
     has_table = len(edges) <= MOST_IN_TABLE
-    num_pairs = len(edges) * (len(edges) + 1) // 2
-    if has_table and num_pairs * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
+    if has_table and len(edges) * (len(edges) + 1) // 2 * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     # 2. Eliminate corners, and compute distances in reverse order: to ancestors if there are many corners, else all.
     with tqdm(

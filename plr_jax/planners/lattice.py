@@ -183,12 +183,11 @@ class CellGrid(NamedTuple):
         across = grid.costs(crosses, poses[::-1, :, None], poses[:, :, None])
         # 6. In a cell with start and goal, motions lead to the goal or, if that is blocked, to the start. If both are
         #    equal, they are one node, that of the goal.
-        to_goal = np.isfinite(into[1])
-        enters &= ~is_shared[:, None] | np.stack([~to_goal, to_goal])
+        enters &= ~is_shared[:, None] | np.stack([~np.isfinite(into[1]), np.isfinite(into[1])])
         terminal_nodes = np.where(is_distinct, own_nodes, own_nodes[1])
         begin = np.where(enters, nodes[previous], -1), np.where(crosses, terminal_nodes[::-1, :, None], -1)
         columns = terminal_nodes, nodes[cells], np.stack(begin, axis=2), np.stack([into, across], axis=2)
-        terminals = Terminals(*(np.stack(column, axis=1) for column in columns))  # a row per robot
+        terminals = Terminals(*(np.stack([*column], axis=1) for column in columns))  # a row per robot
         return Kind(robot, members, q, child, cost, self.side, grid.offsets * self.side, terminals)
 
     def _with_representatives(self, cells: Int[np.ndarray, " n"], q: Configurations) -> "CellGrid":
