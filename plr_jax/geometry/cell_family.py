@@ -1,7 +1,10 @@
-"""Sample points of boxes, and sources of cells, for many goals of one map: what all goals share is computed once."""
+"""Data of boxes, computed once for many goals on a map: sample points, convex pieces, and the corners that see them.
+
+Shortest paths from a sample point, or from a point of a piece, may turn first at a corner that sees it.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -10,15 +13,16 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import concatenated, parts, take_ragged
 from plr_jax._types import Sources
-from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, turns_by_triangle
-from plr_jax.geometry.convex_pieces import areas, centers, clip_to_boxes
+from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
+from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, views_by_triangle
-from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
 _PAIRS = 1 << 18  # pairs of a sample and a corner in memory at a time
 _WALL_BOXES = 1 << 11  # boxes at walls in memory at a time
+_CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_FREE_AREA = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 Indices: TypeAlias = Int[np.ndarray, " cells"]
@@ -102,14 +106,56 @@ class FamilySamples:
             counts = np.diff(self.first, append=len(length))
             shortest = np.flatnonzero((length == np.repeat(distance[self.box], counts)) & np.isfinite(length))[::-1]
             vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
-        # 2. Straight paths, which are shorter, replace them. The goal sees nothing beyond a box around the edges that
-        #    it sees.
-        ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
-        lo, hi = ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
+        # 2. Straight paths, which are shorter, replace them.
+        lo, hi = _view_box(view)
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
         direct = self.sampled[near[view.sees(np.zeros(len(near), int), self.placed[near])]]
         distance[direct], vertex[direct] = np.linalg.norm(self.x[direct] - goal, axis=1), 0
         return distance, vertex
+
+
+def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Return the lower and upper corner of a box that contains a viewpoint and all edges that the viewpoint sees.
+
+    ``view`` is the visibility polygon of this one viewpoint.
+    """
+    ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
+    return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyCells:
+    """The free space in boxes as convex pieces, and the corners that see them; built once for all goals on a map."""
+
+    sight: Sight  # for any goal
+    lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
+    first_piece: Int[np.ndarray, " boxes_plus_one"]
+    pieces: Pieces  # the convex parts of the free space in each box
+    triangle: Int[np.ndarray, " pieces"]  # that contains each piece; -1 for a box that no wall reaches into
+    center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
+    first_part: Int[np.ndarray, " pieces_plus_one"]
+    part: Int[np.ndarray, "parts"]  # the triangles part[first_part[i] : first_part[i + 1]] cover piece i
+
+    @staticmethod
+    def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
+        """Cut the free space in each box from ``lo[i]`` to ``hi[i]`` into convex pieces.
+
+        A box that no wall reaches into is one piece.
+        """
+        # 1. Cut all triangles into parts, sorted by box: the triangle of part ``i`` is ``part[i]``.
+        triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
+        pieces, box, part = clip_to_boxes(triangles, lo, hi)
+        # 2. Make one piece of all parts of a free box, and a piece of each part of any other box.
+        at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
+        is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
+        first_part = np.flatnonzero(~is_free | np.append(True, box[1:] != box[:-1])[: len(box)])
+        pieces, triangle, is_free, box = pieces[:, first_part], part[first_part], is_free[first_part], box[first_part]
+        pieces[:, is_free], triangle[is_free] = boxes_as_pieces(lo[box[is_free]], hi[box[is_free]]), -1
+        first_piece = np.searchsorted(box, np.arange(len(lo) + 1))
+        # 3. List what corners see.
+        sight, lists = corner_sight(visibility, triangulation), turns_by_triangle(visibility, triangulation)
+        rows = first_piece, pieces, triangle, centers(pieces), np.append(first_part, len(part)), part
+        return FamilyCells(sight, lists, *rows)
 
 
 class FamilyGoal(NamedTuple):
@@ -121,41 +167,72 @@ class FamilyGoal(NamedTuple):
 
 
 def cells_of_goals(
-    shared: CellSources, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
+    shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
 ) -> CellSources:
-    """Return pieces of boxes with their sources: cell ``i`` is box ``box[i]``, for paths to ``goals[goal_of[i]]``.
+    """Return cells with their convex pieces and *sources*: points to which shortest paths from a piece may go first.
 
-    ``shared`` has the boxes, and the corners that their pieces may see. Source ``g * count`` of the result is goal
-    ``g``, and source ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``, with ``count`` 1 more than the
-    number of corners.
+    Cell ``i`` is the free space in the box of index ``box[i]``, with the sources of paths to ``goals[goal_of[i]]``.
+    Let ``count`` be 1 more than the number of corners. Source ``g * count`` is goal ``g``, and source
+    ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``.
     """
-    sight, cells = _sight_of_goals(shared.sight, corners, goals), shared.of_cells(box)
-    goal = goal_of[cells.cell]  # of each piece
-    # 1. Find the corners where paths to each goal turn. `shared` has two sources of corner c, 2 c + side, and paths
-    #    to one goal turn around the corner to one side: side 1 if they pass the opening wall. Then the second normal
-    #    of the turn point's cone is the left normal of that wall.
-    is_turn = np.zeros((len(goals), 2 * len(corners.points)), bool)
-    for row, of_goal in zip(is_turn, goals, strict=True):
+    sight = _sight_of_goals(shared.sight, corners, goals)
+    count, num_sources = 1 + len(corners.points), len(sight.sources.points)
+    rows, cell = take_ragged(shared.first_piece, box)
+    goal, pieces = goal_of[cell], shared.pieces[:, rows]
+    # 1. List, for each goal and triangle, the corners where paths to the goal turn. `shared.lists` has turn points
+    #    2 c + side, and paths to one goal turn around corner c to one side: side 1 if they pass the opening wall.
+    #    Then the second normal of the turn point's cone is the left normal of that wall. Triangle t of goal g has the
+    #    corners vertex[first[g * num_triangles + t] : first[g * num_triangles + t + 1]] - 1.
+    first, turns = shared.lists
+    num_triangles = len(first) - 1
+    firsts, vertices = [np.zeros(1, np.int64)], []
+    for of_goal in goals:
         corner = of_goal.turns.vertex - 1
         side = (of_goal.turns.normal[1] == turned_left(corners.walls[0, corner])).all(axis=1)
-        row[2 * corner + side] = True
-    pairs = np.flatnonzero(is_turn[goal[cells.piece], cells.source])
-    # 2. Pair all pieces with the goal, and with the corners around which paths from the piece may bend.
-    piece = np.append(np.arange(len(goal)), cells.piece[pairs])
-    source = np.append(0 * goal, 1 + (cells.source[pairs] >> 1)) + goal[piece] * (1 + len(corners.points))
-    by_all = np.append(np.zeros(len(goal), bool), cells.by_all[pairs])
-    kept = np.flatnonzero(sight.may_bend(cells.pieces[:, piece], source))
-    kept = kept[np.argsort(piece[kept], kind="stable")]
-    # 3. Test what viewpoints see, unless it is known. Drop sources through which no path is shorter.
-    cells = replace(cells, sight=sight, piece=piece[kept], source=source[kept], by_all=by_all[kept])
-    return cells.prune_sources(np.ones(len(goal), bool))
+        is_turn_point = np.zeros(2 * len(corners.points), bool)
+        is_turn_point[2 * corner + side] = True
+        is_turn = is_turn_point[turns]
+        firsts.append(firsts[-1][-1] + np.append(0, np.cumsum(is_turn))[first[1:]])
+        vertices.append(1 + (turns[is_turn] >> 1))
+    first, vertex = np.concatenate(firsts), np.concatenate(vertices)
+    # 2. Pair pieces with the goal if it may see them, and with the corners in the lists of their triangles around
+    #    which paths from the piece may bend. A source may be in the lists of several triangles of a piece.
+    lo, hi = np.stack([_view_box(of_goal.view) for of_goal in goals], axis=1)[:, goal]
+    is_near = np.logical_and(*((highest(x) >= lo[:, i]) & (lowest(x) <= hi[:, i]) for i, x in enumerate(pieces)))
+    part, piece = take_ragged(shared.first_part, rows)
+    list_of_part = goal[piece] * num_triangles + shared.part[part]
+    keys = [np.zeros(0, np.int64)]
+    for batch in parts(first[list_of_part + 1] - first[list_of_part], _CANDIDATES):
+        entry, run = take_ragged(first, list_of_part[batch])
+        near = piece[batch][is_near[piece[batch]]]
+        owner = np.append(near, piece[batch][run])
+        source = np.append(0 * near, vertex[entry]) + goal[owner] * count
+        pairs = np.flatnonzero(sight.may_bend(pieces[:, owner], source))
+        keys.append(owner[pairs] * np.int64(num_sources) + source[pairs])
+    key = np.sort(np.concatenate(keys))
+    piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], num_sources)
+    # 3. Test what viewpoints see, once for all goals: what a corner sees of a piece does not depend on the goal.
+    num_views = len(sight.shadows.table.points)
+    key, index = np.unique(rows[piece] * num_views + sight.view[source], return_inverse=True)
+    row, view = np.divmod(key, num_views)
+    seen, is_whole = (flags[index] for flags in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
+    # 4. Keep pairs unless the source sees nothing of the piece. Drop sources through which no path is shorter.
+    keep = seen | ~is_whole
+    pairs = piece[keep], source[keep], (seen & is_whole)[keep]
+    of_pieces = pieces, shared.triangle[rows], shared.center[rows], np.full(len(cell), np.inf), 0 * cell
+    cells = CellSources(sight, len(box), cell, *of_pieces, *pairs)
+    return cells.prune_dominated(np.ones(len(cell), bool), seen[keep])
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
     """Join the sources of several goals, one goal after the other, into one :class:`Sight`."""
     num, count = len(goals), 1 + len(corners.points)
-    # 1. Viewpoints are all goals, then all corners.
-    shadows = Shadows.of(joined_tables([*(goal.view for goal in goals), sight.shadows.table]))
+    # 1. Viewpoints are all goals, then all corners. Keys begin with 4 times the viewpoint's index.
+    goal_table = joined_tables([goal.view for goal in goals])
+    of_goals, of_corners = Shadows.of(goal_table), sight.shadows
+    key, unit, start, end = concatenated((of_goals, of_corners), "key", "unit", "start", "end")
+    key[len(of_goals.key) :] += 4.0 * num
+    shadows = Shadows(joined_tables([goal_table, of_corners.table]), key, unit, start, end)
     # 2. Each goal has a row of sources, the goal and all corners. Find their viewpoints.
     view = np.tile(num - 1 + np.arange(count), (num, 1))
     view[:, 0] = np.arange(num)

@@ -493,12 +493,6 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation)
 
 
-def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> CellSources:
-    """Return the convex pieces of free space in boxes, and the corners that each piece may see, without a goal."""
-    lists = turns_by_triangle(visibility, triangulation)
-    return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
-
-
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
     """Return the pairs of a cell and a corner where shortest paths from the cell may turn first.
 

@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 from plr_jax._arrays import as_finite_point, as_numbers, as_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_family import FamilyGoal, FamilySamples, Indices, cells_of_goals
-from plr_jax.geometry.cell_sight import CellSources, Sight, corners_seen, goal_sight, lists_of_goal
+from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
+from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility
 from plr_jax.geometry.corners import (
     CornerVisibility,
@@ -186,15 +186,15 @@ class VisibilityGraph:
         """
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
-    def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> CellSources:
+    def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
         """Return each box's convex pieces of free space, and for each piece the corners where paths may turn first.
 
         Paths are shortest paths from the piece to any goal.
         """
-        return corners_seen(self.family, self.workspace.triangulation, lo, hi)
+        return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
-        self, shared: CellSources, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices
+        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices
     ) -> CellSources:
         """Return what :meth:`cell_sources` returns, for many pairs of a box and an oracle.
 

@@ -18,9 +18,10 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import concatenated, shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary, vertices_near_edges
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import CellSources, corners_of_cells, corners_seen
+from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.corners import corner_visibility
+from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
 from plr_jax.pairs.thin_parts import FINEST, with_thin_parts
@@ -238,6 +239,12 @@ def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Li
     return lists, np.where((cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
 
 
+def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
+    """Return the convex pieces of all free space in the domain, and the corners that each piece may see."""
+    lists = turns_by_triangle(visibility, triangulation)
+    return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
+
+
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
     """Build the content of a file of distances between pairs of points; also return the bytes of the file.
 
@@ -309,7 +316,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         return PairsFileData(domain, outline, point_of, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
 
     most = min(limits.max_leaves, most_leaves(len(point_of)))
-    root = corners_seen(visibility, workspace.triangulation, domain.lo[None], domain.hi[None])
+    root = corners_seen(visibility, workspace.triangulation, domain)
     pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
     data = pairs_data.to_bytes()
     if len(data) > limits.max_bytes:

@@ -7,7 +7,7 @@ from piece_helpers import SEEDS, TEN, as_pieces, box, points_of, random_workspac
 
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import Shadows, corners_of_cells, corners_seen
+from plr_jax.geometry.cell_sight import CellSources, Shadows, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas, clip_to_boxes
 from plr_jax.geometry.corners import corner_visibility
 from plr_jax.geometry.visibility import Viewpoints, joined_tables, visibility_of
@@ -85,7 +85,8 @@ def test_cells_without_walls_are_one_piece(seed):
     workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     visibility, triangulation = corner_visibility(workspace), workspace.triangulation
     lo, hi = np.sort(rng.uniform(-1, 11, (2, 30, 2)), axis=0)
-    found = corners_seen(visibility, triangulation, lo, hi)
+    lists = turns_by_triangle(visibility, triangulation)
+    found = CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
     walls = shapely.multilinestrings(list(shapely.linestrings(workspace.boundary.segments)))
     reach = shapely.length(shapely.intersection(walls, shapely.box(*(lo + 1e-9).T, *(hi - 1e-9).T)))
     is_free = np.isin(np.arange(30), found.cell[found.triangle < 0])

@@ -6,9 +6,8 @@ from pair_helpers import MAZE
 from piece_helpers import TEN, WORKSPACES, box
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs
-from plr_jax.geometry.cell_sight import corners_seen
 from plr_jax.geometry.corners import corner_visibility
-from plr_jax.pairs.construct import grow_lists, lattice_step
+from plr_jax.pairs.construct import corners_seen, grow_lists, lattice_step
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
@@ -83,7 +82,7 @@ def grown(workspace, most_leaves):
     """Corners, the leaves' lists of them, and their boxes."""
     visibility = corner_visibility(workspace)
     bounds = workspace.bounds
-    root = corners_seen(visibility, workspace.triangulation, bounds.lo[None], bounds.hi[None])
+    root = corners_seen(visibility, workspace.triangulation, bounds)
     lists = grow_lists(root, workspace.bounds, LIMITS, most_leaves, lambda lists: 0)
     return visibility.corners, lists, *lists.cells.boxes(workspace.bounds)
 
