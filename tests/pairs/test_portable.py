@@ -16,7 +16,7 @@ export const distanceOfRow = z => distance(z.slice(0, 2), z.slice(2));
 export const waypointOfRow = z => waypoint(z.slice(0, 2), z.slice(2));
 export const boundsOfRow = z => bounds(z.slice(0, 2), z.slice(2));
 """
-FAR_WALL = (5e5, 4e6) + np.array([(30, 0), (40, 0), (40, 45.5), (30, 45.5)])
+FAR_WALL = np.add((5e5, 4e6), [(30, 0), (40, 0), (40, 45.5), (30, 45.5)])
 FAR = Workspace(((5e5, 4e6), (5e5 + 100, 4e6 + 60)), [FAR_WALL])
 TOUCHING = Workspace(((0, 0), (10, 10)), [[(2, 2), (5, 2), (5, 5), (2, 5)], [(5, 5), (8, 5), (8, 8), (5, 8)]])
 SLIVERS = [[(5, 5), (5, 9), (5.01, 9)], [(5, 5), (1, 2), (1, 2 + 1e-5)], [(5, 5 - 4e-5), (9, 1), (9, 1.01)]]
