@@ -1,7 +1,8 @@
 """Checks of the arguments of public functions, and small helpers for NumPy arrays: ragged arrays, padding, hashes.
 
-The ``as_...`` functions return a checked value, or raise a ``ValueError`` that calls the value by ``name``. NaN and
-infinity are accepted unless stated otherwise. Float64 arrays are returned without a copy.
+A function ``as_...`` checks a value, and returns it in the stated type. A bad value raises a ``ValueError``; the
+message calls the value ``name``. NaN and infinity are accepted, and float64 arrays are returned without a copy,
+unless stated otherwise.
 """
 
 import math
@@ -18,12 +19,15 @@ from plr_jax._types import ArrayLike
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
-_LONGEST = 200  # characters of a value in an error
+_LONGEST = 200  # most characters of a value in an error
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)  # of SplitMix64
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """Check points, one a row, with ``dim`` coordinates each; None stands for any number of at least 1."""
+    """Check points, one per row, and return them as float64.
+
+    If ``dim`` is None, points may have any number of coordinates, at least 1.
+    """
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +38,10 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
-    """Check one point with ``dim`` coordinates; None stands for any number of at least 1."""
+    """Check one point, and return it as float64.
+
+    If ``dim`` is None, the point may have any number of coordinates, at least 1.
+    """
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -43,7 +50,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
 
 
 def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
-    """Check one point, such as a goal, which must be finite; return a read-only copy."""
+    """Check one point with finite coordinates, such as a goal; return a read-only float64 copy."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
         raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
@@ -52,12 +59,18 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def is_traced(value: object) -> bool:
-    """Return whether a value is a tracer of JAX, or JAX's error that a tracer is no array, without importing JAX."""
+    """Return whether a value is a JAX tracer, or the exception that JAX raises if a tracer is used as an array.
+
+    Only the name of the value's type is read, so that JAX need not be imported.
+    """
     return "Tracer" in type(value).__name__
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """Check an array of real numbers, none masked, and return it as float64; ``expected`` describes it in errors."""
+    """Check an array of real numbers without masked entries, and return it as float64.
+
+    ``expected`` describes a valid array in error messages.
+    """
     try:
         numbers = np.asarray(value)
         if value is None or numbers.dtype.kind in "cUSMm":  # NumPy would convert strings, dates and complex numbers
@@ -73,10 +86,10 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 def as_cells(
     expected: str, value: ArrayLike, fits: Callable[[tuple[int, ...]], bool], hint: str = ""
 ) -> Bool[np.ndarray, "..."]:
-    """Copy booleans, one for each cell of a grid, in C order.
+    """Check an array of booleans without masked entries, one for each cell of a grid; return a copy in C order.
 
-    ``fits`` tests the shape of the grid. An error begins with ``expected``, and ends with ``hint`` if the array does
-    not fit.
+    ``fits`` returns whether a shape of the array is valid. ``expected`` begins every error message. ``hint`` ends the
+    message if the value is an array of a wrong type or shape, or is masked.
     """
     try:
         cells = np.array(value, order="C")
@@ -89,7 +102,7 @@ def as_cells(
 
 
 def _if_traced(value: object) -> str:
-    """Return advice to add to an error if a value is a tracer of JAX, else an empty text."""
+    """Return advice for an error message if :func:`is_traced` holds for a value, else an empty text."""
     if not is_traced(value):
         return ""
     return (
@@ -99,7 +112,7 @@ def _if_traced(value: object) -> str:
 
 
 def is_single(value: ArrayLike) -> bool:
-    """Return whether numbers come as 32-bit floats, as those of JAX do by default, none masked."""
+    """Return whether NumPy converts a value to an array of 32-bit floats; False for a masked array."""
     try:
         return np.asarray(value).dtype == np.float32 and not np.ma.isMaskedArray(value)
     except (TypeError, ValueError):
@@ -109,7 +122,8 @@ def is_single(value: ArrayLike) -> bool:
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
     """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN.
 
-    Floats of 32 bits stay so; all other real numbers, also the narrow floats of JAX, become 64 bits wide.
+    Arrays of 32-bit floats without a mask keep their type. All other real numbers become float64, also JAX's
+    ``bfloat16`` and 8-bit floats.
     """
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
@@ -126,14 +140,17 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
 
 
 def filled_with_inf(value: ArrayLike) -> ArrayLike:
-    """Return a masked array with ``inf`` for masked entries; any other value as it is."""
+    """Convert a masked array to an ordinary array, with ``inf`` for masked entries; return other values unchanged."""
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
-    """Check the answer of a function of ``n`` points: one number for each; masked entries become ``inf``."""
+    """Check that ``value``, the result of a function called ``name`` for ``n`` points, is one real number per point.
+
+    Return the result as float64; masked entries become ``inf``.
+    """
     values = as_numbers(f"{name}'s answer", filled_with_inf(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         called = f"it is called with a batch of points ({n}, dim)"
@@ -142,7 +159,10 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
-    """Check the answer of a test of ``n`` points: one boolean for each, none masked."""
+    """Check that ``value``, the result of a function called ``name`` for ``n`` points, is one boolean per point.
+
+    No entry may be masked. Return the result as an array.
+    """
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
@@ -152,7 +172,10 @@ def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
-    """Check the answer of a distance function as :func:`as_values` does; NaN and ``-inf`` are rejected too."""
+    """Check the distances ``value`` that a function called ``name`` returned for points ``x``.
+
+    Check and return them like :func:`as_values`. In addition, no distance may be NaN or ``-inf``.
+    """
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
     if bad.size:
@@ -167,9 +190,10 @@ def require_integer(name: str, value: object, least: int) -> None:
 
 
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
-    """Check a number, which must satisfy ``in_range``; ``expected`` describes it in errors.
+    """Check a real number for which ``in_range`` returns True, and return it as a float.
 
-    What is no number, or an integer too large for a float, counts as NaN: ``in_range(nan)`` must be False.
+    ``expected`` describes a valid number in error messages. For a value that is no number, and for an integer too
+    large for a float, ``in_range`` is called with NaN, for which it must return False.
     """
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
@@ -181,26 +205,32 @@ def as_number(name: str, value: object, expected: str, in_range: Callable[[float
 
 
 def as_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """Check a number, which must be finite and at least 0 (above 0 if ``positive``)."""
+    """Check a finite number of at least 0 (above 0 if ``positive``), and return it as a float."""
     if positive:
         return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the size to which to pad ``n`` rows: the least of ``sizes`` that is enough, else a power of two."""
+    """Return the number of rows to which ``n`` rows are padded, so that compiled functions see few shapes.
+
+    The result is the first of ``sizes`` that is at least ``n``. If all are less, it is the next power of two.
+    """
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def size_in_eighths(n: int) -> int:
-    """Return the size to which to pad ``n`` rows: one of few sizes, at most an eighth above ``n``."""
-    # The next power of two is below 2 * n, so a sixteenth of it is below n / 8.
+    """Return the number of rows to which ``n`` rows are padded: at most ``n * 9 / 8``.
+
+    There are at most 8 such numbers between a power of two and the next one.
+    """
+    # The next power of two, P, is below 2 * n, so P / 16 is below n / 8. Sizes are multiples of P / 16.
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 
 
 def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
-    """Copy rows, and append rows of ``fill`` up to ``size`` rows."""
+    """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all."""
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)] = rows
     result[len(rows) :] = fill
@@ -214,26 +244,32 @@ def as_bool(name: str, value: object) -> bool:
 
 
 def ragged_indices(counts: Int[np.ndarray, " runs"]) -> tuple[Int[np.ndarray, " items"], Int[np.ndarray, " items"]]:
-    """Return, for consecutive runs of ``counts`` items, the run of each item, and the item's index in this run."""
+    """Return, for each item of consecutive runs, the index of its run, and the item's index within this run.
+
+    Run ``i`` has ``counts[i]`` items.
+    """
     # Counts [2, 0, 3] give the runs [0, 0, 2, 2, 2] and the indices [0, 1, 0, 1, 2].
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def concatenated(objects: Sequence[object], *names: str) -> list[Shaped[np.ndarray, "..."]]:
-    """Concatenate, for each name, the arrays that the objects have as attributes of this name."""
+    """Return, for each attribute name, the concatenation of this attribute's arrays over all objects."""
     return [np.concatenate([getattr(item, name) for item in objects]) for name in names]
 
 
 def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
-    """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
+    """Split items into consecutive slices. In each slice, the ``counts`` of the items sum to about ``most``.
+
+    A slice with a single item may have a larger sum.
+    """
     # A slice ends before each item at which the sum of counts reaches or passes a multiple of `most`.
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
 
 
 def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Return the index of each wanted value among distinct ``values``; -1 if it is not among them."""
+    """Return, for each entry of ``wanted``, its index in ``values``, or -1. The ``values`` must be distinct."""
     if not len(values):
         return np.full(len(wanted), -1)
     order = np.argsort(values)
@@ -244,14 +280,16 @@ def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " 
 def take_ragged(
     first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " chosen"]
 ) -> tuple[Int[np.ndarray, " members"], Int[np.ndarray, " members"]]:
-    """Return the indices of all items in the given ``runs``, and for each item the index in ``runs`` of its run."""
-    # Run `i` has the items from `first[i]` up to `first[i + 1]`.
+    """Return the indices of all items of some runs, and for each item the position of its run in ``runs``.
+
+    ``runs`` are indices of runs. Run ``i`` has the items from ``first[i]`` up to, not including, ``first[i + 1]``.
+    """
     run, place = ragged_indices(first[runs + 1] - first[runs])
     return first[runs][run] + place, run
 
 
 def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n"]:
-    """Sum each row from left to right; ``np.sum`` adds in blocks, so that different CPUs round differently."""
+    """Sum each row from left to right, so that all CPUs round equally; ``np.sum`` adds in CPU-dependent blocks."""
     total = terms[:, 0].copy()
     for column in terms.T[1:]:
         total += column
@@ -259,7 +297,10 @@ def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n
 
 
 def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "n ..."]:
-    """Return ``a @ b`` row by row: for large products, threads of BLAS would take more CPU time than the product."""
+    """Return ``a @ b``, computed row by row.
+
+    For a large product, BLAS would start threads that take more CPU time than the product.
+    """
     return np.matmul(a[:, None], b)[:, 0]
 
 
@@ -281,7 +322,7 @@ def hash64(numbers: Int[np.ndarray, " n"] | UInt64[np.ndarray, " n"]) -> UInt64[
 
 
 def format_numbers(numbers: Float[np.ndarray, " n"]) -> list[float]:
-    """Round numbers to 12 digits for messages, to hide rounding errors."""
+    """Round numbers to 12 significant digits for messages, to hide rounding errors."""
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 
 
@@ -295,7 +336,11 @@ _MUTATORS = ("with_", "add", "insert", "move", "remove", "replace", "set_", "upd
 
 
 def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
-    """Return the error of a missing attribute, with advice if its name is like that of a mutating method."""
+    """Return the ``AttributeError`` for an object ``value`` without the attribute ``name``.
+
+    If the name begins like a method that changes an object, such as ``add``, the message ends with the text
+    ``when_changed``.
+    """
     advice = f" {when_changed}" if name.startswith(_MUTATORS) else ""
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
 
@@ -306,7 +351,7 @@ def require_function(name: str, value: object) -> None:
 
 
 def shortened(value: object) -> str:
-    """Return the ``repr`` of a value for an error, cut to 200 characters."""
+    """Return the ``repr`` of a value for an error message, cut to 200 characters."""
     try:
         text = _REPR.repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, a recursive list
@@ -315,6 +360,9 @@ def shortened(value: object) -> str:
 
 
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
-    """Raise a ``TimeoutError`` if less than ``seconds`` are left to a deadline of ``time.perf_counter``."""
+    """Raise a ``TimeoutError`` if fewer than ``seconds`` remain until a deadline, a time of ``time.perf_counter``.
+
+    The message is "The deadline passed before ...", with the text ``purpose`` at its end.
+    """
     if time.perf_counter() + seconds > deadline:
         raise TimeoutError(f"The deadline passed before {purpose}.")

@@ -1,4 +1,4 @@
-"""Pytrees that ``jax.export`` can serialize; running a compiled function on a large batch on all cores."""
+"""Pytrees that ``jax.export`` can serialize, and functions that evaluate a compiled function on a large batch."""
 
 import json
 import os
@@ -19,20 +19,20 @@ from plr_jax._arrays import is_traced, padded
 
 Class = TypeVar("Class", bound=type)
 Columns = TypeVar("Columns")  # an array, or a tuple or another pytree of arrays
-_PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
+_PARTS = 8  # a batch of more than this many small parts is divided into large parts instead
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 def pytree(of: Class) -> Class:
-    """Make a class a frozen dataclass and a pytree that ``jax.export`` can serialize; a decorator."""
+    """Make a class a frozen dataclass and a pytree that ``jax.export`` can serialize; use this as a decorator."""
     return serializable(jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(of)))
 
 
 def serializable(of: Class, default: Any = None, object_hook: Any = None) -> Class:
-    """Let ``jax.export`` serialize functions of a registered pytree; a decorator.
+    """Let ``jax.export`` serialize functions with arguments of a registered pytree class; use this as a decorator.
 
-    Static fields become JSON, so that no file can run code. ``default`` and ``object_hook``, as in ``json``, are
-    functions that encode and decode values that JSON does not have.
+    Static fields are stored as JSON, so that loading a file cannot run code. ``default`` and ``object_hook`` are
+    passed on to ``json``: they encode and decode values of types that JSON does not have.
     """
     return export.register_pytree_node_serialization(
         of,
@@ -56,7 +56,10 @@ def has_doubles() -> bool:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Return whether no array is traced or committed to a device, and all are in the memory of one CPU."""
+    """Return whether no array is traced or committed to a device, and all JAX arrays are on the same CPU.
+
+    If no array is a JAX array, return whether JAX's default devices are CPUs.
+    """
     if any(is_traced(array) or getattr(array, "committed", False) for array in arrays):
         return False
     devices = {device for array in arrays if isinstance(array, jax.Array) for device in array.devices()}
@@ -66,10 +69,13 @@ def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
 def answered_in_parts(
     answer: Callable[..., tuple[Array, ...]], sizes: tuple[int, int], *rows: Shaped[np.ndarray, "..."]
 ) -> tuple[np.ndarray, ...]:
-    """Apply a compiled function to the rows of arrays, ``(*batch, width)``, in equally large parts on all cores.
+    """Apply a compiled function to the rows of arrays, in equally large parts on all cores.
 
-    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``. It is compiled for each ``n``, so
-    all parts of a batch have one of two ``sizes`` (numbers of rows); zeros pad the last part.
+    The arrays ``rows`` have shapes ``(..., width)``. Their leading axes broadcast to ``batch``, the shape of each
+    result. ``answer`` maps ``n`` rows of each array to a tuple of arrays ``(n,)``.
+
+    ``answer`` is compiled once for each ``n``. So that it is compiled at most twice, each part has ``sizes[0]`` rows,
+    or ``sizes[1]`` rows if the batch has more than ``8 * sizes[0]``. Zeros pad the last part.
     """
     batch = np.broadcast_shapes(*(column.shape[:-1] for column in rows))
     count = prod(batch)
@@ -103,7 +109,10 @@ def answered_in_parts(
 
 
 def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Columns:
-    """Apply a traced function to arrays of equally many rows, part by part if there are more than ``size`` rows."""
+    """Apply a traceable function to arrays of equally many rows, in parts of ``size`` rows to save memory.
+
+    The results of all parts are concatenated.
+    """
     # Zeros pad the last part. A batch of symbolic size, as in exported functions, is one part.
     count = rows[0].shape[0]
     if is_symbolic_dim(count) or 0 < count <= size:
@@ -115,7 +124,10 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Colum
 
 
 def broadcast_shape(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
-    """Return the shape to which two arrays broadcast, or raise a ``ValueError`` that begins with their ``names``."""
+    """Return the shape to which two arrays broadcast.
+
+    If the arrays do not broadcast, raise a ``ValueError``; its message begins with ``names``, such as "x and y".
+    """
     try:
         return jnp.broadcast_shapes(x.shape, y.shape)
     except ValueError:

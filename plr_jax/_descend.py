@@ -1,8 +1,8 @@
-"""Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
+"""Collision-free paths from many starts to a goal, found by following a cost-to-go function ``f``.
 
-For lengths in a workspace, paths go from corner to corner. Each corner ``x`` is joined to the two visible *places*
-``y`` (corners or goal) of least ``|x - y| + f(y)``, where ``f`` is the cost-to-go. Dijkstra's algorithm finds paths
-along these edges, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
+If costs are lengths in a workspace, paths go from corner to corner of the obstacles. Each corner ``x`` is joined to
+the two visible *places* ``y`` (corners or goal) of least ``|x - y| + f(y)``. Dijkstra's algorithm finds paths along
+these edges, even if ``f`` has local minima. For other costs and spaces see ``_lookahead.py``.
 """
 
 import enum
@@ -23,7 +23,7 @@ from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace, require_spac
 
 
 class DescentStatus(enum.StrEnum):
-    """Result of the descent from a start; the value is a message."""
+    """The result of the descent from one start; the value of each member is a message for users."""
 
     REACHED = "the path ends at the goal"
     STUCK = "neither the goal nor a place from which it can be reached is in sight"
@@ -35,12 +35,15 @@ class Descent:
     """Paths from many starts to a goal, or to the nearest of several goals.
 
     Attributes:
-        status: A :class:`DescentStatus` for each start, ``(n,)``.
+        status: The :class:`DescentStatus` of each start, ``(n,)``.
         vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal. Copies of the goal fill up
-            shorter paths. NaN without a path. Along periodic axes, segments go the shorter way.
-        counts: Number of vertices of each path, ``(n,)``, without copies: 1 if the start is the goal, 0 if no path.
-        lengths: Length of each path, ``(n,)``, in workspace units or by ``motion_cost``; ``inf`` without a path.
-        costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
+            shorter paths. All vertices are NaN if there is no path. Along periodic axes, segments go the shorter way.
+        counts: Number of vertices of each path, ``(n,)``, without the copies of the goal: 1 if the start is the goal,
+            0 if there is no path.
+        lengths: Length of each path, ``(n,)``: in workspace units, or for other spaces by their ``motion_cost``. The
+            length is ``inf`` if there is no path.
+        costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length; ``inf`` if there is
+            no path.
     """
 
     status: Shaped[np.ndarray, " n"]
@@ -56,7 +59,7 @@ class Descent:
 
     @cached_property
     def paths(self) -> list[Float[np.ndarray, "m dim"]]:
-        """The vertices of each path, without the copies of the goal; no rows if there is no path."""
+        """The vertices of each path, ``(m, dim)``, without the copies of the goal; ``m`` is 0 if there is no path."""
         return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
 
     def __len__(self) -> int:
@@ -78,31 +81,37 @@ def descend(
 
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
-    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The field only ranks the edges between
-    corners. So each start reaches the goal if that is possible, and path lengths say little about a field.
+    *If costs are lengths in a workspace*, paths go from corner to corner of the obstacles. The cost-to-go only ranks
+    the edges between corners. So each start reaches the goal if a path exists, and path lengths say little about the
+    accuracy of the cost-to-go.
 
-    *Other costs and spaces*: paths take finite steps to the visible point where the field falls most per cost of the
-    step. Then vertices are skipped or shifted to reduce the cost. A slower search escapes from local minima, and
-    gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few tenths of a second.
+    *For other costs and spaces*, each step goes to a visible point: the one with the largest decrease of the
+    cost-to-go per cost of the step. Then vertices are skipped or shifted to reduce the path's cost. A slower search
+    escapes from local minima, and gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few
+    tenths of a second.
 
     Args:
-        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in
-            units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
-        space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
+        distance_fn: The cost-to-go: a function of points ``(n, dim)`` that returns costs ``(n,)``, NumPy or JAX, in
+            units of the motion cost; ``inf`` where unknown. The function is called with points in the space's domain,
+            with periodic axes wrapped.
+        space: The free space. A Workspace is the free space of a point robot; for a disc, pass the inflated
+            workspace.
         starts: Start points, ``(n, dim)``.
-        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
-            each path ends at the goal to which the shortest path was found. The field counts as 0 at each goal, so
-            its errors, or costs of ending at a goal, do not change which goal that is.
-        cost_map: Factor of the motion cost in the field. None: 1 everywhere.
+        goal: Goal point, ``(dim,)``, in free space or on its boundary. If costs are lengths in a workspace, there may
+            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found. The
+            cost-to-go counts as 0 at each goal, so its errors, or costs of ending at a goal, do not change which goal
+            that is.
+        cost_map: Factor of the motion cost at each point: the map for which ``distance_fn`` was computed. None: the
+            factor is 1 everywhere.
 
     Returns:
         Status, path, length and cost for each start. With a cost map, costs are integrated to about 0.1 % or better;
-        a path may cost some percent more than the cheapest.
+        a path may cost some percent more than the cheapest path.
 
     Raises:
-        ValueError: If ``distance_fn`` is no function, ``space`` has a wrong type or only tests configurations, a
-            shape is wrong, the goal is not free, or a returned value is invalid: NaN of the field, or not positive
-            and finite for the cost map.
+        ValueError: If an argument has a wrong type or shape (``space`` must be a Workspace or a ConfigurationSpace),
+            or the goal is not free. Also if ``distance_fn`` returns NaN, or the cost map returns a factor that is not
+            positive and finite.
 
     References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """
@@ -129,11 +138,12 @@ _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in
 
 
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Find paths in a workspace from corner to corner; each corner is joined to the places that the field ranks best.
+    """Find paths in a workspace from corner to corner, along edges that the cost-to-go ``field_fn`` ranks best.
 
-    *Places* are the goals, then the corners.
+    Return the vertices of the paths, their numbers of vertices (0: no path), lengths, costs (equal to lengths), and
+    whether each start is free.
     """
-    # 1. Check the arguments, and evaluate the field at all places.
+    # 1. Check the arguments, and evaluate the field at all *places*: the goals, then the corners.
     starts = as_points("starts", workspace.settled(starts), 2)
     goal = as_numbers("goal", workspace.settled(goal), "numbers of shape (2,) or (k, 2)")
     goals = as_points("goal", goal, 2) if goal.ndim == 2 else as_finite_point("The goal", goal, 2)[None]
@@ -176,9 +186,9 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
             break
         edges = joined
         length, onward = shortest(edges)
-    # 4. Find the first place of each start: the nearest visible goal, else a place where the path may turn, else any
-    #    place in sight (a cone without sides: normals of 0). With several goals, places where the path may turn are
-    #    compared also for starts that see a goal, since a path to another goal may be shorter.
+    # 4. Find the first place of each start: the nearest visible goal, else a visible place where a shortest path may
+    #    turn, else any visible place (each has a cone without sides, with normals of 0). With several goals, places
+    #    where a path may turn are compared also for starts that see a goal: a path to another goal may be shorter.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
     goal_ways = first_visible_in_parts(
@@ -214,10 +224,14 @@ def _edges(
     corners: Int[np.ndarray, " corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Join each corner to ``count`` visible corners or goals with the least sum of distance and cost-to-go."""
+    """Join each corner to the ``count`` visible places of least distance plus cost-to-go; return the edges.
+
+    Places are goals and corners; ``field`` is the cost-to-go of each. ``corners`` are indices in ``places``. Each
+    edge is a pair ``(i, j)`` of indices in ``places``, with ``i < j``, and occurs once.
+    """
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
-        # The distance to each place plus its cost-to-go; NaN where no shortest path can go.
+        # Return the distance to each place plus its cost-to-go; NaN where no shortest path can go.
         corner = corners[rows]
         score = distances_between(places.points[corner], places.points) + field
         pairs = corner[:, None], np.arange(len(places.points))

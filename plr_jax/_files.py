@@ -1,7 +1,8 @@
 """Safe reading of text, JSON and YAML files, and atomic writing of files.
 
-Readers bound the size, nesting and integers of a document, and raise only ``ValueError`` for bad content. YAML
-aliases and tags are rejected: aliases let a few bytes expand to any size.
+A file may have at most 16 MiB by default, at most 32 levels of nesting, and only integers that fit into a float. YAML
+aliases and tags are rejected: with aliases, a few bytes can expand to any size. For bad content, readers raise
+``ValueError`` and no other exception.
 """
 
 import json
@@ -26,7 +27,7 @@ _LARGEST_INTEGER = int(np.finfo(np.float64).max)
 
 
 def file_path(path: object) -> Path:
-    """Return the name of a file as a path; other types, such as bytes or a file descriptor, are rejected."""
+    """Convert a file name, a ``str`` or ``os.PathLike``, to a ``Path``; any other type raises ``ValueError``."""
     if not isinstance(path, str | os.PathLike):
         got = f"{shortened(path)}."
         if isinstance(path, bytes | bytearray | memoryview):
@@ -37,7 +38,7 @@ def file_path(path: object) -> Path:
 
 @contextmanager
 def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield the path of a file, and put it before the message of any ``ValueError`` that is raised inside."""
+    """Yield the path of a file. If the ``with`` block raises a ``ValueError``, put the path before its message."""
     path = Path(path)
     try:
         yield path
@@ -46,7 +47,10 @@ def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
-    """Read a text file in UTF-8, with or without a byte order mark."""
+    """Read a text file in UTF-8, with or without a byte order mark.
+
+    ``ValueError`` is raised if the file has more than ``most_bytes`` bytes, or is not UTF-8.
+    """
     with path.open("rb") as file:
         data = file.read(most_bytes + 1)
     if len(data) > most_bytes:
@@ -58,7 +62,7 @@ def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
 
 
 def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
-    """Read and decode a JSON file, within the limits of this module."""
+    """Read and decode a JSON file of at most ``most_bytes`` bytes, within the limits that this module states."""
     text = text_of(path, most_bytes)
     try:
         value = json.loads(text)
@@ -69,7 +73,7 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
-    """Read and decode a YAML file, within the limits of this module."""
+    """Read and decode a YAML file, within the limits that this module states."""
     import yaml
 
     text = text_of(path)
@@ -85,7 +89,7 @@ def yaml_of(path: Path) -> Any:
 
 @cache
 def _loader() -> Any:
-    """Return a safe loader of YAML that also reads numbers such as 1e-05."""
+    """Return a safe PyYAML loader class that also reads words such as 1e-05 as numbers."""
     import yaml
 
     # A new class, because adding a resolver changes the class. CSafeLoader is faster, where it is installed.
@@ -97,7 +101,11 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
-    """Raise a ``ValueError`` unless a decoded file is of a kind, of a known version, and has all keys."""
+    """Raise a ``ValueError`` unless a decoded file has the given kind, at most the given version, and all ``keys``.
+
+    In ``document``, the decoded file, "format" must be :func:`format_name` of the ``kind``, and "version" an integer
+    of at least 1.
+    """
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     stated = document.get("version")
@@ -115,7 +123,10 @@ def format_name(kind: str) -> str:
 
 
 def _require_plain(events: Iterator[Any]) -> None:
-    """Reject YAML with deep nesting, aliases, tags or long unquoted words, which could exhaust the parser."""
+    """Raise a ``ValueError`` for YAML with deep nesting, aliases, tags or long unquoted words.
+
+    A parser could need too much memory or time for such a document. ``events`` is the result of ``yaml.parse``.
+    """
     import yaml
 
     nested = 0
@@ -130,7 +141,7 @@ def _require_plain(events: Iterator[Any]) -> None:
 
 
 def _require_limits(value: Any) -> None:
-    """Reject decoded values with deep nesting, or with integers that are too large for floats."""
+    """Raise a ``ValueError`` if a decoded document has deep nesting, or integers that are too large for floats."""
     # Level by level, so that deep nesting cannot overflow the stack.
     level = [value]
     nested = 0
@@ -149,7 +160,10 @@ def _require_shallow(nested: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a regular file so that it is complete or unchanged, even after a crash."""
+    """Write ``data`` to a file so that, even after a crash, the file is either complete or unchanged.
+
+    Devices and pipes are written directly, without this guarantee.
+    """
     # 1. Write to a device or pipe directly: it must not be replaced.
     mode = None
     with suppress(FileNotFoundError):

@@ -14,8 +14,9 @@ from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
     """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, completely or not at all.
 
-    For a ``MetricPairs``, save its ``plr``. ``plr/portable/FORMAT.md`` and ``pairs/FORMAT.md`` document the formats.
-    Raises ``ValueError`` for another object or an invalid ``path``, and ``OSError`` if the file cannot be written.
+    To save a ``MetricPairs``, pass its attribute ``plr``. The files ``plr/portable/FORMAT.md`` and
+    ``pairs/FORMAT.md`` document the formats. ``ValueError`` is raised for an object of another type and for an
+    invalid ``path``, ``OSError`` if the file cannot be written.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
         raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
@@ -23,11 +24,13 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 
 
 def load(path: str | os.PathLike) -> Any:
-    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote; its answers are equal, bit for bit.
+    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
 
-    The first query of a PairPLR builds large lookup tables, which takes long for thousands of corners.
-    Raises ``ValueError`` if the file is truncated, corrupt, or of another kind or format version, and ``OSError`` if
-    it cannot be read.
+    The loaded object gives the same answers as the saved object, bit for bit.
+
+    The first query of a PairPLR builds large lookup tables, which takes long if the map has thousands of corners.
+    ``ValueError`` is raised if the file is truncated, corrupt, or of another kind or format version, ``OSError`` if
+    the file cannot be read.
     """
     path = file_path(path)
     try:

@@ -1,9 +1,10 @@
-"""Paths by lookahead: finite steps down a cost-to-go, in any space that proves motions free.
+"""Paths by lookahead: finite steps down a cost-to-go, in any space that can prove that a straight motion is free.
 
-Steps are ranked by slope, the fall of the cost-to-go per cost of the step. Slopes are at most 1, apart from errors of
-the cost-to-go. Among nearly equal slopes, the longest step wins, so that small dents do no harm. A best-first search
+At each node of a path, the free steps in many directions and of several lengths are ranked by slope: the decrease of
+the cost-to-go per cost of the step. Slopes are at most 1, apart from errors of the cost-to-go. Among nearly equal
+slopes, the longest step is chosen, so that small local errors of the cost-to-go do no harm. A best-first search
 (Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are skipped, or
-shifted to where their two segments cost least.
+shifted to where the two adjacent segments cost least.
 """
 
 import heapq
@@ -27,20 +28,21 @@ Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
 Counts: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
-# Vertices, counts, lengths, costs, and whether starts are free.
+# Paths of `n` starts: vertices, numbers of vertices, lengths, costs, and whether each start is free (see `Descent`).
 Chains: TypeAlias = tuple[Float[np.ndarray, "n longest dim"], Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
 
 
 def chains_of(
     starts: Nodes, nodes: Nodes, onward: Next, first: Int[np.ndarray, " starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, " starts"]]:
-    """Return the vertices of paths, and the number of each path's vertices: 0 if its node ``first`` is -1.
+    """Return the vertices of one path per start, and the number of vertices of each path.
 
-    A path leads from its start to the node ``first``, then from each node to the node ``onward[node]``, until a goal.
-    The goals are the first ``num_goals`` nodes.
+    Path ``i`` leads from ``starts[i]`` to the node ``first[i]``, then from each node to the node ``onward[node]``,
+    until a goal. The goals are the first ``num_goals`` nodes. If this sequence of nodes reaches the index -1, there
+    is no path, and the number of vertices is 0.
     """
-    # Follow all paths at once; those that have arrived (or have no node, -1) repeat their last node. The vertices are
-    # the start, the nodes and the goal, unless the start is the goal.
+    # Follow all paths at once. Paths that have arrived (or have no next node, -1) repeat their last node. A path's
+    # vertices are the start, the nodes and the goal; if the start is the goal, it counts once.
     chain = [first]
     while (chain[-1] >= num_goals).any():
         chain.append(np.where(chain[-1] >= num_goals, onward[chain[-1]], chain[-1]))
@@ -57,7 +59,7 @@ _STEP_TOLERANCE = 0.01  # relative error allowed for the costs of steps
 _LAST_TOLERANCE = 0.001  # relative error allowed for the costs of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
 _LEAST_PART = 1 / 16  # parts of a motion shorter than this share may have the absolute error of such a share
-_MOST_HALVINGS = 40  # of a motion whose cost is integrated
+_MOST_HALVINGS = 40  # largest number of times that an interval of a motion is halved
 # Steps:
 _LONGEST = 1 / 4  # longest step, as a share of the domain
 _NUM_LENGTHS = 8  # number of lengths of steps, each half as long as the one before
@@ -76,7 +78,10 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions of the space, and of each block of axes, such as the position."""
+    """Return vectors of motions of cost 1 in many directions: over all axes together, and within each block of axes.
+
+    A block is a group of axes of the :class:`MotionCost`, such as the position alone or the heading alone.
+    """
     # Directions in a plane are evenly spaced. In more dimensions, they are the axes, and normally distributed points
     # divided by their norms, each with its opposite.
     changes = []
@@ -101,13 +106,13 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
 
 @dataclass(frozen=True, eq=False)
 class PathCosts:
-    """Lengths and costs of straight motions, the shorter way around periodic axes."""
+    """The costs of straight motions in a configuration space, with or without a cost map."""
 
     space: ConfigurationSpace
     cost_map: CostMap | None  # factor of the motion cost; None means 1
 
     def estimates(self, q0: Nodes, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
-        """Estimate the costs of ``k`` motions, ``changes``, from each configuration, by a few samples each."""
+        """Estimate, from a few samples, the costs of straight motions from ``q0[i]`` to ``q0[i] + changes[i, j]``."""
         n, k, dof = changes.shape
         motion_cost, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
@@ -120,14 +125,17 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Nodes, q1: Nodes, tolerance: float) -> Float[np.ndarray, " n"]:
-        """Integrate costs along straight motions, to a relative error of at most about ``tolerance``."""
+        """Integrate the cost along straight motions from ``q0`` to ``q1``.
+
+        The relative error is at most about ``tolerance``. Motions go the shorter way around periodic axes.
+        """
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
         domain, motion_cost = self.space.domain, self.space.motion_cost
         cost = np.zeros(len(q0))
         change = domain.difference(q1, q0)
-        # 1. Cut motions where they cross the seams of periodic axes, at the times t. Intervals have a motion, and
-        #    begin and end as shares of it.
+        # 1. Cut motions into intervals where they cross the seams of periodic axes, at the times t. An interval
+        #    belongs to one motion, and begins and ends at fractions of it.
         seam = np.where(change < 0, domain.lo, domain.hi)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.where(domain.periodic, (seam - domain.wrapped(q0)) / change, 0.0)
@@ -157,7 +165,11 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Find paths from all starts down a field to a goal, and make them cheaper."""
+    """Find a path from each start to a goal by steps down a cost-to-go ``field``, and make it cheaper.
+
+    Return the vertices of the paths, their numbers of vertices (0: no path), lengths and costs, and whether each
+    start is free.
+    """
     # 1. Check the starts and the goal.
     domain = costs.space.domain
     starts, goal = (domain.settled(q, costs.space.is_free) for q in (starts, goal))
@@ -184,7 +196,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    """The steps of paths down a field to a goal, and the search that leaves its local minima."""
+    """Steps down a cost-to-go (the *field*) from many starts at once, and a search that escapes its local minima."""
 
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, " dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
@@ -209,7 +221,8 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Nodes) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, " n"]]:
-        # Return nodes (goal first), each node's next node (-1: stuck), and the starts' nodes.
+        # Return the nodes of all paths, goal first; the index of each node's next node (-1: stuck, and the goal's
+        # is 0); and the index of each start's node.
         #
         # Indices of nodes: 0 is the goal. In each round, the nodes x begin at `num`, then inner nodes of detours at
         # `inner`; the nodes x of the next round follow.
@@ -242,14 +255,15 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Nodes, value: Float[np.ndarray, " n"]) -> tuple[Nodes, Int[np.ndarray, " n"]]:
-        # Return the end of each best step, and 1 if it is the goal, -1 without a step, else 0.
+        # Return the end of the best step from each node, and its status: 1 if it ends at the goal, -1 if there is no
+        # step, else 0.
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
         def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
-            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long. The slope
-            # is (value here - value there) / cost, from 0 to 1. NaN for steps along which the field does not fall
-            # enough.
+            # Return the rank of each step, best first: minus the slope, plus _LONGER for each halving of the longest
+            # step. The slope is (value here - value there) / cost, from 0 to 1. Steps along which the field does not
+            # fall enough have NaN.
             here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
@@ -279,9 +293,12 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Nodes | None:
-        """Return a path from a local minimum to a cost-to-go less than ``below``, or None.
+        """Return a path from a local minimum ``x`` of the cost-to-go to a point where it is less than ``below``.
 
-        The minima in a cell share a path from the cell's center, so that no path depends on the other starts.
+        The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
+        one path from the cell's center, so that the path from one start does not depend on other starts. The shared
+        path is used if the straight motion from ``x`` to the center is free, and the path falls below ``below``. Else
+        the search begins at ``x``.
         """
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width
@@ -297,8 +314,12 @@ class _Lookahead:
         return self._search_below(x, below)
 
     def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Nodes | None:
-        """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""
-        nodes, parent, frontier = [x], [-1], [(0.0, 0)]  # the frontier has the field and the index of nodes
+        """Search best first for a path from ``x`` to a point where the cost-to-go is less than ``below``.
+
+        Return the nodes of the path after ``x``, or None if the search fails. The search visits at most one node per
+        grid cell.
+        """
+        nodes, parent, frontier = [x], [-1], [(0.0, 0)]  # pairs of a node's field value and its index
         claimed = set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -334,7 +355,11 @@ class _Lookahead:
 
 
 def _skip_nodes(costs: PathCosts, nodes: Nodes, onward: Next) -> Next:
-    """Return each node's next node on its path, after skipping nodes where a straight motion is free and cheaper."""
+    """Shorten paths: skip a node if the straight motion from the node before it to the node after it is cheaper.
+
+    The motion must also be free. ``onward`` and the result are the index of each node's next node; -1 marks a node
+    from which no path continues.
+    """
     # In each round, every node tries to skip its next node: to go straight to the node after it. A pair is tried
     # once.
     stuck = onward < 0
@@ -355,7 +380,11 @@ def _skip_nodes(costs: PathCosts, nodes: Nodes, onward: Next) -> Next:
 
 
 def _shift_nodes(costs: PathCosts, nodes: Nodes, onward: Next, first: Int[np.ndarray, " paths"]) -> Nodes:
-    """Shift the nodes of paths, except ``first`` and the goal, so that the segments to their neighbors cost least."""
+    """Return the nodes of paths, shifted so that the segments between them cost less.
+
+    ``onward`` is the index of the next node of each node. The goal (node 0) and the nodes with the indices ``first``,
+    at the start of each path, stay in place.
+    """
     # 1. Follow all paths to the last node before the goal. Each inner node is on one path only.
     nodes, motion_cost = nodes.copy(), costs.space.motion_cost
     before, index = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, number of nodes before
@@ -379,8 +408,12 @@ def _shift_nodes(costs: PathCosts, nodes: Nodes, onward: Next, first: Int[np.nda
 def _cheapest_places(
     costs: PathCosts, before: Nodes, x: Nodes, after: Nodes, changes: Float[np.ndarray, "k dim"]
 ) -> Nodes:
-    """Return ``x``, or ``x`` plus one of ``changes`` if that is a cheaper place between ``before`` and ``after``."""
-    # The result is the best of all changes by estimates if these are accurate (`is_known`), else by exact costs.
+    """Return, for each ``i``, the point through which the path from ``before[i]`` to ``after[i]`` costs least.
+
+    The candidates are ``x[i]``, and ``x[i] + changes[j]`` for each ``j``. The path consists of two straight motions,
+    which must be free. If no candidate is better, the point is ``x[i]``.
+    """
+    # Changes are compared by estimated costs where the estimate at x is accurate (`is_known`), else by exact costs.
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Nodes, x: Nodes, b: Nodes) -> Float[np.ndarray, " n"]:
@@ -397,7 +430,7 @@ def _cheapest_places(
         rows = np.flatnonzero(is_known == trusted)
 
         def prices(part: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "part k"]:
-            # Costs of the ways through changed places; NaN if they are not cheaper than `now`.
+            # Return the costs of the ways through changed places; NaN if they are not cheaper than `now`.
             y = domain.wrapped(x[rows[part], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
             a, b = (np.repeat(ends[rows[part]], k, axis=0)[inside] for ends in (before, after))

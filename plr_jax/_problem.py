@@ -20,20 +20,21 @@ _VERBS = {"starts": "starts", "goals": "has its goal"}
 class Problem:
     """Robots in a workspace, each with a start and a goal.
 
-    Robots may touch walls and one another, up to ``workspace.tolerance``. Points never collide with points. Starts
-    and goals that come as 32-bit floats, and overlap walls only by their rounding, are moved off the walls.
+    Robots may touch walls and one another, and may overlap by up to ``workspace.tolerance``. Point robots never
+    collide with one another. If starts or goals are given as 32-bit floats, and overlap walls only by rounding, they
+    are moved off the walls.
 
     Args:
         starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a
             heading, else ``(x, y, heading)`` with the heading in radians, ignored for points and discs.
         goals: Goal configurations, ``(robots, dof)``.
         rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for robots with a heading.
-            None: each robot's circumscribed radius, which is half the diagonal for a rectangle.
+            None: each robot's circumscribed radius, such as half the diagonal of a rectangle.
 
     Raises:
         ValueError: If there is no robot, an argument has a wrong shape or value, or a start or goal is outside the
-            bounds or in collision. Also if obstacles separate a goal from its start even for the robot's inscribed
-            disc; so a problem that passes may still be impossible.
+            bounds or in collision. Also if obstacles leave no path from a start to its goal even for the robot's
+            inscribed disc. A problem that passes these tests may still have no solution.
     """
 
     workspace: Workspace
@@ -94,7 +95,11 @@ def motion_costs(
 def straight_costs(
     q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
 ) -> Float[np.ndarray, "*batch"]:
-    """Return costs of straight motions: lengths plus ``rotation_weight`` (of all or each robot) times the angles."""
+    """Return the costs of straight motions: lengths plus ``rotation_weight`` times the angles turned, in radians.
+
+    ``rotation_weight`` is one number, or one per robot. Robots turn the shorter way. Without headings (``dof`` 2),
+    costs are lengths.
+    """
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if q0.shape[-1] == 3:
         cost = cost + rotation_weight * smaller_angle(q0[..., 2], q1[..., 2])
@@ -108,15 +113,19 @@ def path_cost(problem: Problem, path: ArrayLike) -> float:
 
 
 def makespan(problem: Problem, path: ArrayLike) -> float:
-    """Return a path's duration at unit speed: the sum of each motion's largest cost (see :func:`path_cost`).
+    """Return the duration of a path ``(steps, robots, dof)`` at unit speed.
 
-    If ``rotation_weight`` is 0, turns cost nothing. They then last as long as with the default ``rotation_weight``.
+    The duration of a motion is the largest cost of any robot in this motion. If ``rotation_weight`` is 0, turns cost
+    nothing but still take time: as much as with the default weight.
     """
     return float(row_times(problem, path)[-1])
 
 
 def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, " steps"]:
-    """Return the time at which a path reaches each row, from 0 to the :func:`makespan`."""
+    """Return the time ``(steps,)`` at which the robots reach each row of a path ``(steps, robots, dof)``.
+
+    Times rise from 0 to the :func:`makespan`.
+    """
     path = as_path(problem, path)
     weights = _rotation_weights(problem.robots, problem.rotation_weight or None)
     return np.append(0.0, np.cumsum(straight_costs(path[:-1], path[1:], weights).max(axis=1)))
@@ -131,7 +140,11 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
-    """Check a path, and return it as an array; of 32-bit floats, its ends become exact starts and goals."""
+    """Check a path, and return it as a float64 array ``(steps, robots, dof)``.
+
+    If the path has 32-bit floats, a robot's first configuration is replaced by its start if both are equal up to
+    rounding, and its last configuration by its goal.
+    """
     require_problem(problem, path)
     if path is None:
         raise ValueError("A path must be an array, got None: solution.path is None, see solution.status.")
@@ -149,7 +162,10 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
 
 
 def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
-    """Move a robot at a pose of 32-bit numbers, ``(dof,)``, away from walls that it overlaps only by rounding."""
+    """Move a pose ``q`` of 32-bit floats, ``(dof,)``, off walls that the robot overlaps only by rounding.
+
+    A pose of another type is returned unchanged.
+    """
     if not is_single(q):
         return q
     position, heading = np.split(np.asarray(q), [2])
@@ -167,9 +183,9 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
 
 
 def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.ndarray, "robots dof"]:
-    """Check starts or goals, and return them as a read-only array.
+    """Check starts or goals (``name`` says which), and return them as a read-only float64 array.
 
-    Configurations in 32-bit floats that rounding moved into an obstacle are moved back.
+    Configurations of 32-bit floats that lie in an obstacle only by rounding are moved out of the obstacle.
     """
     robots, dof = problem.robots, team_dof(problem.robots)
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
@@ -193,7 +209,10 @@ def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.n
 
 
 def _require_free(problem: Problem, name: str) -> None:
-    """Raise a ``ValueError`` if a robot leaves the bounds or overlaps an obstacle at its start or goal."""
+    """Raise a ``ValueError`` if a robot leaves the bounds or overlaps an obstacle.
+
+    ``name`` says where: at its start ("starts") or at its goal ("goals").
+    """
     workspace = problem.workspace
     for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
         inside, clearance, obstacle = _clearances(workspace, robot, q)
@@ -207,7 +226,11 @@ def _require_free(problem: Problem, name: str) -> None:
 
 
 def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
-    """Return how far a robot is inside the bounds, its clearance of the obstacle that it overlaps most, and which."""
+    """Return a robot's distance to the edge of the bounds, and the clearance and index of the nearest obstacle.
+
+    The distance is negative if the robot leaves the bounds. Only obstacles that the robot touches or overlaps are
+    measured, so the clearance is at most 0. If there are none, the clearance is ``inf`` and the index -1.
+    """
     core, radius, obstacles = footprint(robot, q), robot.rounding, np.array(workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)
     left, bottom, right, top = shapely.bounds(core)
@@ -219,7 +242,7 @@ def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]
 
 
 def _require_no_overlap(problem: Problem, name: str) -> None:
-    """Raise a ``ValueError`` if two robots overlap at their starts or at their goals."""
+    """Raise a ``ValueError`` if two robots overlap at their starts (if ``name`` is "starts") or at their goals."""
     configurations = getattr(problem, name)
     cores = np.array([footprint(robot, q) for robot, q in zip(problem.robots, configurations, strict=True)])
     rounding = np.array([robot.rounding for robot in problem.robots])
@@ -233,7 +256,7 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
 
 
 def _require_connected(problem: Problem) -> None:
-    """Reject goals that obstacles cut off from their starts even for the robot's inscribed disc."""
+    """Raise a ``ValueError`` if obstacles leave no path from a start to its goal for the robot's inscribed disc."""
     workspace, parts_of = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
@@ -252,7 +275,11 @@ def _require_connected(problem: Problem) -> None:
 
 
 def separation(a: Any, b: Any) -> float:
-    """Return the distance between Shapely geometries; if they overlap, minus a depth (approximate for areas)."""
+    """Return the distance between two Shapely geometries; if they overlap, minus the depth of the overlap.
+
+    The depth of a point in a shape is the point's distance to the shape's boundary. The depth of two shapes is
+    estimated from the area and the perimeter of their intersection.
+    """
     if (distance := shapely.distance(a, b)) > 0 or a.geom_type == b.geom_type == "Point":
         return distance
     if "Point" in (a.geom_type, b.geom_type):

@@ -1,6 +1,7 @@
-"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions.
+"""Types that oracles, PLRs and planners share: aliases of arrays, and protocols of distance functions.
 
-Classes that have the members of a protocol, among others, and functions that ask for it::
+The table lists the protocols, examples of classes that satisfy each, and examples of public callers that check it.
+A PLR (piecewise linear regression) is a distance function compressed into few bytes::
 
     DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
     FunctionOfBox         PLR                               plot
@@ -14,9 +15,8 @@ Classes that have the members of a protocol, among others, and functions that as
     SymmetricFn           Euclidean, ReedsShepp             construct
     HeuristicFn           SumOverRobots                     bl_plan
 
-Tests by ``isinstance`` see only whether an object has members of these names. So ``NearestGoal``, which answers for
-cells only if all its functions are VisibilityGraphs of one map, is always a ``CellwiseFn``; in other cases, its
-``cell_sources`` is None.
+``isinstance(x, Protocol)`` tests only whether ``x`` has members with the protocol's names. So a ``NearestGoal`` is
+always a ``CellwiseFn``, but its ``cell_sources`` is None unless all its functions are VisibilityGraphs of one map.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ and ignores obstacles. Users of a distance function must handle the answers of b
 
 
 class _PointFn(Protocol):
-    """A function of points, called with one array of them."""
+    """A function that is called with one array of points, ``(n, dim)``."""
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
@@ -59,7 +59,7 @@ class DimensionedFn(_PointFn, Protocol):
 
 @runtime_checkable
 class FunctionOfBox(_PointFn, Protocol):
-    """A function of the points in a :class:`Box`, its ``domain``."""
+    """A function with an attribute ``domain``: the :class:`Box` of points at which the function is defined."""
 
     @property
     def domain(self) -> Any: ...
@@ -67,7 +67,10 @@ class FunctionOfBox(_PointFn, Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function, such as a PLR, defined in boxes; ``leaf_boxes`` has their lower and upper corners, ``(n, dim)``."""
+    """A function, such as a PLR, that is defined box by box.
+
+    ``leaf_boxes`` is a pair of arrays, ``(n, dim)`` each: the lower and the upper corner of each of the ``n`` boxes.
+    """
 
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
@@ -75,10 +78,10 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Goals, and the points where shortest paths to the nearest goal may turn.
+    """The *sources* of a distance function: goals, and the points where shortest paths to the nearest goal may turn.
 
-    The shortest path from any point starts with a straight segment to one of these points, its *source*. Sources that
-    reach a goal and are their own parents are called *roots*. The constructor checks two conditions:
+    The first segment of any shortest path ends at a source. Sources that reach a goal and are their own parents are
+    called *roots*. The constructor checks two conditions:
 
     - Every root has the distance 0, so it is a goal. No path to a goal is better continued to another goal, and
       sources at one place have equal distances, so that files may merge them.
@@ -104,7 +107,8 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 class CellwiseFn(_PointFn, Protocol):
     """A distance function in the plane that knows where shortest paths from the points of a box may turn first.
 
-    ``cell_sources`` is a method that takes the box, or None if the function does not know.
+    ``cell_sources(domain)`` divides the free space in the box ``domain`` into convex pieces, and returns for each
+    piece the points where paths from it may turn first. ``cell_sources`` is None if the function has no such answer.
     """
 
     @property
@@ -113,43 +117,50 @@ class CellwiseFn(_PointFn, Protocol):
 
 @runtime_checkable
 class FamilyFn(CellwiseFn, Protocol):
-    """A distance function that shares work with its *family*, functions to other goals on the same map."""
+    """A distance function that shares work with its *family*: the distance functions to other goals on the map."""
 
     @property
     def family(self) -> Any: ...  # the corners and what they see: one object for all members
     @property
     def sources(self) -> Sources: ...
 
-    # A free sample point in each box, and the corners that it sees, for any goal.
+    # Return a free sample point in each box, and the corners that it sees. Neither depends on the goal.
     def shared_samples(self, lo: Any, hi: Any, /) -> Any: ...
 
-    # By sample: the distance to the goal, and the index in `sources` of the first vertex of its path.
+    # Return, for each sample, its distance to the goal, and the index in `sources` of the first vertex of its path.
     def first_turns(self, samples: Any, /) -> Any: ...
 
-    # Convex pieces of free space in each box, and corners where paths from each may turn first, for any goal.
+    # Return the convex pieces of free space in each box, and the corners where paths from each piece may turn first.
+    # Neither depends on the goal.
     def shared_cells(self, lo: Any, hi: Any, /) -> Any: ...
 
-    # `cell_sources` of pairs i: the box of index box[i] in `shared`, and the function members[member[i]].
+    # Return `cell_sources` for pairs of a box and a function: box number `box[i]` of `shared`, `members[member[i]]`.
     def cells_of_members(self, shared: Any, members: Sequence[Any], box: Any, member: Any, /) -> CellSources: ...
 
 
 @runtime_checkable
 class NearestFn(CellwiseFn, Protocol):
-    """A distance function in the plane to the nearest of several goals, which tells the index of that goal."""
+    """A distance function in the plane to the nearest of several goals.
+
+    ``which`` returns the index of the nearest goal for each point; -1 if no goal can be reached.
+    """
 
     def which(self, x: ArrayLike, /) -> Int[np.ndarray, " n"]: ...
 
 
 @runtime_checkable
 class ReachFn(_PointFn, Protocol):
-    """A distance function that knows which boxes of a domain hold free points that cannot reach the goal."""
+    """A distance function that knows which boxes hold free points from which the goal cannot be reached."""
 
     def reach(self, domain: Any, /) -> Any: ...  # a geometry.reach.Reach, or None if all free points reach the goal
 
 
 @runtime_checkable
 class StackableDistanceFn(_PointFn, Protocol):
-    """A distance function, such as a PLR, whose class can combine one function per robot into one for a team."""
+    """A distance function, such as a PLR, with a static method ``stack`` that combines one function per robot.
+
+    The combined function maps joint configurations to each robot's own distance.
+    """
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]: ...
@@ -157,7 +168,7 @@ class StackableDistanceFn(_PointFn, Protocol):
 
 @runtime_checkable
 class BoundingFn(_PointFn, Protocol):
-    """A distance function or heuristic that states whether it is a proven lower bound of the true value."""
+    """A distance function or heuristic that states whether it is a proven lower bound of the true cost-to-go."""
 
     @property
     def is_lower_bound(self) -> bool: ...
@@ -165,14 +176,14 @@ class BoundingFn(_PointFn, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """An isometry ``x -> matrix @ x + offset``; coordinates that are angles are taken modulo a full turn."""
+    """An isometry ``x -> matrix @ x + offset`` of points; results that are angles are taken modulo a full turn."""
 
     matrix: Float[np.ndarray, "dim dim"]
     offset: Float[np.ndarray, " dim"]
 
     @classmethod
     def about(cls, point: Float[np.ndarray, " dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
-        """Return the isometry with this matrix that leaves ``point`` in place."""
+        """Return the isometry with the given ``matrix`` that maps ``point`` to itself."""
         return cls(matrix, point - matrix @ point)
 
 
@@ -186,14 +197,14 @@ class SymmetricFn(_PointFn, Protocol):
 
 @runtime_checkable
 class HeuristicFn(Protocol):
-    """An estimate of the cost-to-go of joint configurations: a sum of one term per robot.
+    """An estimate of the cost-to-go of joint configurations ``(n, robots, dof)``: a sum of one term per robot.
 
-    It is never NaN. If it is ``inf`` or masked, there is no estimate. Planners evaluate each term only once per
-    configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
+    The estimate is never NaN; ``inf`` or a masked entry means that there is no estimate. Planners evaluate a robot's
+    term only once per configuration of this robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
     def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's term of the sum, which depends only on the configuration of this robot."""
+        """Return each robot's term of the sum. The term depends only on the configuration of this robot."""
         ...

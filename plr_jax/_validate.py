@@ -1,9 +1,12 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Both share the boundary of free space, and the direction in which a robot turns. Here, bodies are Shapely geometries.
-In a motion without turns, a robot sweeps a convex hull, whose distance is exact. Other motions are halved in time:
-the clearance in the middle of an interval, less the distance that the bodies move from there, bounds it in the
-interval from below. A point must stay in the same part of the free space beside its path, which thin walls divide.
+The check and the planners use the same boundary of free space, and the same rule for the direction of turns. In the
+check, the shapes of robots are Shapely geometries.
+
+In a motion without turns, a robot sweeps a convex hull, whose distance to obstacles is exact. Motions with turns are
+bisected in time: in an interval, the clearance is at least its value in the middle, minus the largest distance that
+the robots can move from there. For point robots, thin walls divide the free space near a path into parts; the path
+must not lead from one part to another.
 """
 
 from collections.abc import Sequence
@@ -33,14 +36,15 @@ class ValidationReport:
 
     Args:
         valid: Whether the path solves the problem.
-        cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
-            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. In a collision, about
-            minus the depth of the first overlap. Of a path that crosses a thin wall, that of the closest pair.
+        cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite, or has a
+            wrong shape.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. The clearance has an
+            error of at most 1e-7 of the workspace's extent, or twice the workspace's ``tolerance`` if that is more.
+            If the path has a collision, the clearance is about minus the depth of the first overlap.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
-        when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
-        where: Position of robot ``who[0]`` at that time.
+        when: Time of the violation in steps: 3.25 is a quarter of the way from row 3 of the path to row 4.
+        where: Position ``(x, y)`` of robot ``who[0]`` at that time.
     """
 
     valid: bool
@@ -55,13 +59,17 @@ class ValidationReport:
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     """Check whether a path, from any planner, solves a problem.
 
-    The path, joint configurations ``(steps, robots, dof)``, must be finite, begin at the starts and end at the goals
-    exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles, the bounds and
-    one another during all motions; touching is allowed. Motions are straight, at constant rates, and turn the shorter
-    way, or for half a turn counterclockwise. A point robot may be outside of free space by twice the workspace's
-    ``tolerance``, but may not cross a wall of ``Workspace.free_space``, however thin. A path of 32-bit floats may be
-    outside by their rounding too. An invalid path is reported and raises nothing. ``ValueError`` is raised
-    if ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
+    The path, joint configurations ``(steps, robots, dof)``, must be finite. The path must begin at the starts and end
+    at the goals exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles,
+    the bounds and one another during all motions; touching is allowed. Motions are straight, at constant rates, and
+    turn the shorter way; a half turn is counterclockwise.
+
+    A point robot may be outside of free space by twice the workspace's ``tolerance``; if the path has 32-bit floats,
+    also by the rounding of its coordinates. A point robot may not cross a wall of ``Workspace.free_space``, however
+    thin.
+
+    An invalid path is reported, and raises no error. ``ValueError`` is raised if ``problem`` is not a Problem, or
+    ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
     # A point stays within this distance of free space. Points of 32 bits may be off by one step along both axes.
@@ -91,7 +99,10 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot with its path, and what it may hit: all that is not free space, or another robot with its path."""
+    """Two objects between which the clearance is measured: a robot, and another robot or the blocked region.
+
+    Each robot moves along its path. The blocked region is the complement of the free space.
+    """
 
     who: tuple[int, ...]
     robot: Robot
@@ -102,11 +113,11 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        # The bodies' cores must keep the sum of the radii by which both are rounded.
+        # The cores of both bodies must stay this far apart: the sum of the radii by which the bodies are rounded.
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return the signed distance between both bodies at times ``when``, negative if they overlap."""
+        """Return the distance between the two objects at times ``when``, in steps; negative if they overlap."""
         bodies = _bodies(self.robot, _at(self.path, when))
         others = np.full(len(when), self.other)
         if self.other_path is not None:
@@ -120,12 +131,13 @@ class _Encounter:
         return distance - self.reach
 
     def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, " n"]:
-        # A thin wall across a body overlaps it by little area. But it meets the body eroded by the tolerance.
+        # Return which overlaps are deeper than the tolerance: those that meet the body eroded by the tolerance. An
+        # estimate from the area of the overlap would miss a thin wall across the body.
         return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
 
     def swept(self, motion: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        # Return the smallest clearance in motions without turns, in which the robot sweeps the convex hull of both
-        # its ends. With another robot, these are its ends relative to that robot.
+        # Return the smallest clearance in motions without turns. The robot sweeps the convex hull of its bodies at
+        # both ends of the motion. If there is another robot, the motion is taken relative to that robot.
         start = _corners(self.robot, self.path[motion])
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -141,7 +153,7 @@ class _Encounter:
 
     @cached_property
     def velocity(self) -> Float[np.ndarray, "motions 2"]:
-        """Change of the robot's position in each motion, relative to the other robot if there is one."""
+        """Change of the robot's position in each motion, relative to the other robot if there is another robot."""
         velocity = np.diff(self.path[:, :2], axis=0)
         return velocity if self.other_path is None else velocity - np.diff(self.other_path[:, :2], axis=0)
 
@@ -188,7 +200,8 @@ class _Encounter:
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
-        # Halve intervals as in `smallest`, but keep those that may collide, up to the first whose middle does.
+        # Halve intervals as in `smallest`, but keep all intervals that may have a collision, up to the first interval
+        # that has a collision in its middle.
         motion, begin = self.first_collision, np.zeros(1)
         size = 1.0
         while True:
@@ -206,10 +219,10 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
-    """Return the pairs whose clearance must be measured.
+    """Return the pairs of objects whose clearance must be measured, sorted by the indices of their robots.
 
-    Each robot is paired with the blocked space. Two robots are paired if they may collide, or may have the smallest
-    clearance of the whole path.
+    Each robot is paired with the blocked region. Two robots are paired if they may collide, or may have the smallest
+    clearance of the whole path. A point robot may overlap the blocked region by ``margin``.
     """
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
@@ -239,7 +252,10 @@ def _tolerance(workspace: Workspace) -> float:
 
 
 def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, int, int]]:
-    """Return lower bounds of the clearances between robots, ascending, each with the indices of both robots."""
+    """Return, for each pair of robots, a lower bound of their clearance on the path, and the indices of both robots.
+
+    Pairs come by ascending bound. Pairs of two points, which never collide, are left out.
+    """
     radius = np.array([robot.circumscribed_radius for robot in robots])
     clearances = []
     for j in range(1, len(robots)):
@@ -263,7 +279,7 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> 
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:
-    """Return the most that a robot's corners move by turning, in each motion."""
+    """Return, for each motion, an upper bound of the length of the arcs that a robot's corners move by turning."""
     turn = shorter_turn(path[:-1, 2], path[1:, 2]) if robot.dof == 3 else np.zeros(len(path) - 1)
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(turn)
 
@@ -283,7 +299,11 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
-    """Find the first passage of a point robot through a wall or a contact; return robot, time and message."""
+    """Find the first motion in which a point robot crosses a wall, or a contact (a point where obstacles touch).
+
+    Return the robot's index, the index of the motion and a message, or None if there is no such motion. A point may
+    be outside of free space by ``margin``.
+    """
     most = _tolerance(problem.workspace)
     points = [i for i, robot in enumerate(problem.robots) if robot.circumscribed_radius <= most]
     crossings = [(when, i) for i in points for when in _crossings(problem.workspace, path[:, i, :2], margin)[:1]]
@@ -295,10 +315,12 @@ def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, fl
 
 
 def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
-    """Return the motions at whose ends a point is on another side of a wall or contact than a free path allows.
+    """Return the indices of the motions in which a point robot crosses a wall or a contact.
 
-    Thin walls and contacts part the free space within ``margin`` of a motion. The point is in the part nearest to its
-    start. It may only change to parts that overlap this one where the next motion begins.
+    A contact is a point where obstacles touch. The robot's path is ``track``. Walls, and contacts unless
+    ``workspace.squeeze``, divide the free space within ``margin`` of a motion into parts. A motion begins in the part
+    nearest to its start, or in a part that overlaps the last part of the previous motion. If the motion ends in
+    another part, the robot crosses a wall or contact.
     """
     # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
@@ -343,7 +365,7 @@ def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | No
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
     workspace = problem.workspace
     when = collision.first_moment
-    # The smallest clearance at some moments of the first motion that collides: about minus the overlap.
+    # Take the smallest clearance at some moments of the first motion that collides: about minus the overlap's depth.
     times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
     depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))

@@ -20,17 +20,20 @@ _DIGITS = 4  # digits of a printed position, relative to the largest distance
 
 @dataclass(frozen=True)
 class ErrorReport:
-    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over points.
+    """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``.
 
-    ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite.
+    Errors and distances are in workspace units. Errors are taken at the points where both functions are finite.
 
     Attributes:
+        max: Largest error.
+        mean: Mean error.
         quantiles: For each share 0.5, 0.9, 0.99 and 0.999, the error that this share of the points does not exceed.
         max_at: Point of the largest error, ``(dim,)``.
         max_distance: Largest finite distance ``V``, as a scale for the errors.
-        num_unreachable: Points where ``V`` is infinite; the error is undefined there.
-        num_unanswered: Points where ``V`` is finite and ``L`` is not.
-        num_invented: Points where ``V`` is infinite and ``L`` is finite.
+        num_points: Number of all points ``x``.
+        num_unreachable: Number of points where ``V`` is infinite; the error is undefined there.
+        num_unanswered: Number of points where ``V`` is finite and ``L`` is not.
+        num_invented: Number of points where ``V`` is infinite and ``L`` is finite.
     """
 
     max: float
@@ -101,13 +104,14 @@ def error_grid(
     Args:
         approximation: A PLR, or another function, as in :func:`error_map`.
         distance_fn: The exact distance function.
-        workspace: The workspace, or a configuration space whose free configurations count.
-        at: For more than two dimensions, the slice that the grid covers: coordinates by axis, for all axes but two.
+        workspace: The workspace, or a configuration space. Errors are computed only at its free points.
+        at: For more than two dimensions, the slice that the grid covers: a dict from axis to coordinate, for all axes
+            but two.
         resolution: Number of nearly square cells along the longer side of the bounds, at least 1.
 
     Returns:
-        Errors ``(rows, columns)``; row 0 has the lowest ``y``. NaN where a cell center is not free or not reachable,
-        ``inf`` where only the approximation is not finite.
+        Errors ``(rows, columns)``; row 0 has the lowest ``y``. The error is NaN where a cell center is not free or
+        the distance is infinite, and ``inf`` where the distance is finite but the approximation is not.
 
     Raises:
         ValueError: If a function returns a wrong shape, the distance function returns NaN, ``at`` leaves other than

@@ -25,19 +25,20 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         setup.setOptimizationObjective(plr_jax.ompl_objective(information, plr))
         setup.setPlanner(geometric.BITstar(information))
 
-    Planners call ``motionCostHeuristic(s1, s2)``, a lower bound of the path cost between two states. By the triangle
-    inequality, it is the largest of the space's own distance, ``lower(s1) - upper(s2)`` and, for costs that are equal
-    in both directions, ``lower(s2) - upper(s1)``, with the PLR's bounds of the distance to its goal.
+    Planners call ``motionCostHeuristic(s1, s2)``, a lower bound of the path cost between two states. Let ``lower(s)``
+    and ``upper(s)`` be the PLR's bounds of the distance from a state to its goal. The heuristic is the largest of
+    the space's own distance, ``lower(s1) - upper(s2)`` and, for costs that are equal in both directions,
+    ``lower(s2) - upper(s1)``. The differences are lower bounds by the triangle inequality.
 
-    The heuristic is *admissible* between free states from which the PLR's goal is reachable. The only planners that
-    use it, BIT*, BFMT* and SORRT*, need no more. It is not *consistent*: bounds jump between leaves by up to
-    ``2 * plr.max_error``, so a graph search must reopen states. Bounds of a new state take time,
-    which pays off if motion tests take longer.
+    The heuristic is *admissible* between free states from which the PLR's goal is reachable. This suffices for the
+    only planners that use it: BIT*, BFMT* and SORRT*. It is not *consistent*: bounds jump between leaves by up to
+    ``2 * plr.max_error``, so a graph search must reopen states. The bounds of each new state take time to compute, so
+    the heuristic pays off only if motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
-        plr: A PLR with proven bounds (``certified=True``, or better ``certified="leaves"``) of these costs or lower
-            ones: a PLR for points also serves a body that turns.
+        plr: A PLR with proven bounds (``certified=True``, or better ``certified="leaves"``) for the same motion
+            costs, or for lower ones. For example, the PLR of a point robot also serves a body that turns.
         coordinates: Function from a state to its point in the PLR's domain. None: the first coordinates of a
             ``RealVectorStateSpace``; position, and for a PLR of three dimensions heading, of an ``SE2StateSpace``.
 
@@ -81,7 +82,11 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
 
 def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
-    """Return a function from states of an OMPL space to coordinates; ``ValueError`` for an unknown space."""
+    """Return a function from a state of an OMPL space to its ``dim`` coordinates, or raise a ``ValueError``.
+
+    There is such a function for a ``RealVectorStateSpace`` of at least ``dim`` dimensions and, if ``dim`` is 2 or 3,
+    for an ``SE2StateSpace``. ``base`` is the module ``ompl.base``.
+    """
     if isinstance(space, base.RealVectorStateSpace) and space.getDimension() >= dim:
         return lambda state: [state[axis] for axis in range(dim)]
     if isinstance(space, base.SE2StateSpace) and dim == 2:

@@ -1,4 +1,4 @@
-"""The command ``plr-jax``. Heavy libraries are imported inside its commands, so that ``--help`` is fast."""
+"""The command ``plr-jax``. Subcommands import large libraries only when they run, so that ``--help`` is fast."""
 
 import os
 import signal
@@ -15,7 +15,10 @@ _SOON = 0.01  # seconds; callbacks of the garbage collector end within this time
 
 
 def main() -> None:
-    """Run the command ``plr-jax``; Ctrl-C ends it with exit code 130, also while it loads, and SIGTERM with 143."""
+    """Run the command ``plr-jax``.
+
+    Ctrl-C ends it with exit code 130, SIGTERM with 143, even while modules are being imported.
+    """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # background jobs ignore Ctrl-C
         signal.signal(signal.SIGINT, _stop)
     signal.signal(signal.SIGTERM, _stop)
@@ -27,7 +30,10 @@ def main() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Handle SIGINT or SIGTERM by an exception, so that cleanup runs; during an import, end the process at once."""
+    """Handle SIGINT or SIGTERM by raising an exception, so that cleanup runs.
+
+    During an import, end the process at once instead.
+    """
     interrupted = number == signal.SIGINT
     while frame is not None:
         # In an incomplete import, some libraries swallow an exception, or abort. No file is open for writing then.
@@ -39,7 +45,10 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
-    """Resend SIGINT or SIGTERM if the exception of its handler was lost in a callback of the garbage collector."""
+    """Send SIGINT or SIGTERM again if Python dropped the exception that the handler of the signal raised.
+
+    Python drops exceptions in callbacks of the garbage collector, and reports them to this hook as ``lost``.
+    """
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
     if number is None:
         sys.__unraisablehook__(lost)

@@ -14,7 +14,7 @@ from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
 
 
 class _Commands(TyperGroup):
-    """A group of commands that prints errors and warnings on one line each, and equal warnings only once."""
+    """The group of all subcommands, which prints each error or warning as one line, and equal warnings only once."""
 
     def invoke(self, ctx: Any) -> Any:
         shown: set[str] = set()
@@ -71,12 +71,12 @@ def _options(
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that registers a function as a command, with examples in its help."""
+    """Return a decorator that registers a function as a subcommand; ``examples`` of its use end the help text."""
     return app.command(epilog="\n\n".join(["Examples:", *examples]))
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """Return an error's message; for a system error, the file and the reason without the error number."""
+    """Return an error's message; for an ``OSError``, the file name and the reason without the error number."""
     if not isinstance(error, OSError):
         return str(error)
     where = f"{error.filename}: " if error.filename else ""
@@ -95,13 +95,13 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def fail_interrupted(message: str) -> NoReturn:
-    """Print a message on standard error, and end the command as Ctrl-C does."""
+    """Print a message on standard error, and end the command with the exit code of Ctrl-C, 130."""
     typer.echo(message, err=True)
     raise typer.Exit(INTERRUPTED_EXIT)
 
 
 def printable(text: str) -> str:
-    r"""Replace control characters of foreign text by escapes such as ``\x1b``, so that terminals ignore them."""
+    r"""Replace control characters in a text by escapes such as ``\x1b``, so that terminals do not act on them."""
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 

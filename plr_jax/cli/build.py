@@ -26,7 +26,11 @@ def _kinds_of_leaves() -> list[str]:
 
 
 def _reading_option(help: str, default: str) -> Any:
-    """Return an option of the map's reader. Its help names the reader's own ``default``, since the option is None."""
+    """Return a command-line option for an argument of the function that reads the map.
+
+    An option that the user does not give is None, and is not passed to that function, so that the function's own
+    default applies. The text ``default`` describes this default in the ``help`` of the option.
+    """
     return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read")
 
 
@@ -161,7 +165,7 @@ def build(
 
 
 def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tolerance: float | None) -> None:
-    """Print the proven error, and the error at random points, of a PLR that has a proof."""
+    """Print the proven error of a certified PLR, and its error at random free points."""
     report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
     proven = plr.max_error
     assert proven is not None

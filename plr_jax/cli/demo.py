@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.cli.inputs import DEFAULT_BYTES
 from plr_jax.cli.plan import solve
 
-# Points in a batch, and timed calls, of the PLR and of the oracle, which is slower.
+# Number of points in a batch, and of timed calls: for the PLR, and for the oracle, which is slower.
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
 _CONE_BYTES = 1024  # size limit of the file in the page
@@ -24,7 +24,7 @@ _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames, since drawing them takes longer
 
 
 def run(output: Path) -> None:
-    """Run the demo, and write its files to a folder."""
+    """Run the demo: print its results, and write its files to the folder ``output``, which is created if needed."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     problem = scenes.four_rooms(4)
@@ -79,7 +79,10 @@ def _maze(output: Path) -> None:
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
-    """Return how many points a second ``function`` evaluates: the median of calls, after one that compiles."""
+    """Return how many points per second ``function`` evaluates, from the median time of ``repeats`` calls.
+
+    One more call before these compiles the function.
+    """
     jax.block_until_ready(function(points))
     seconds = timeit.repeat(lambda: jax.block_until_ready(function(points)), number=1, repeat=repeats)
     return len(points) / statistics.median(seconds)

@@ -1,4 +1,7 @@
-"""The commands ``query``, ``info``, ``plot``, ``export`` and ``view`` for files of PLRs or pairs; and ``demo``."""
+"""The commands ``query``, ``info``, ``plot``, ``export`` and ``view`` for saved files, and the command ``demo``.
+
+A file holds a PLR, or *pairs*: distances between any two points.
+"""
 
 import sys
 from json import dumps
@@ -150,7 +153,12 @@ def plot(
 
 
 def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
-    """Return a PLR unchanged; of distances between any two points, return the distance to the single ``goal``."""
+    """Return a function that gives the distance to one goal: a PLR itself, or for pairs the distance to ``goal``.
+
+    ``content`` is what was loaded from ``file``: a PLR, or pairs (distances between any two points). ``goal`` has the
+    texts ``X,Y`` of the option ``--goal``. ``ValueError`` is raised if a goal is given for a PLR, or not exactly one
+    goal for pairs.
+    """
     from plr_jax.plr import PLR
 
     if isinstance(content, PLR):
@@ -182,11 +190,11 @@ def export(
         bool, typer.Option("--compact", help="Write a header for small machines: less memory, slower.")
     ] = False,
 ) -> None:
-    """Write a file as code without dependencies, whose answers equal those of query, bit for bit.
+    """Write a file as code without dependencies. The code's answers equal those of the command query, bit for bit.
 
     Pairs (a file of distances between any two points) become the distance to one goal, or, in JavaScript without a
-    goal, the distance between any two points. Pairs of a grid become a header that gives the steps between any two
-    cells; it reads a file of tables, which is written beside it.
+    goal, the distance between any two points. Pairs of cells of a grid become a header that gives the number of steps
+    between any two cells; it reads a file of tables, which is written beside it.
     """
     from plr_jax import load
     from plr_jax._files import write_atomically
@@ -227,7 +235,7 @@ def view(
         Path | None, typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html")
     ] = None,
 ) -> None:
-    """Write an interactive web page of a file, which shows the distance at the pointer and needs no network."""
+    """Write an interactive web page that shows the distance in a file at the mouse pointer, and needs no network."""
     from plr_jax import load
     from plr_jax.plot import page
     from plr_jax.plr import PLR

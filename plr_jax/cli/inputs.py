@@ -1,4 +1,4 @@
-"""Arguments and options that commands share: maps, goals and output files."""
+"""Read and check the arguments that commands share: maps, goals and output files."""
 
 import os
 import shlex
@@ -23,7 +23,7 @@ _OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "p
 
 
 def parse_goals(texts: Sequence[str]) -> Float[np.ndarray, "goals 2"]:
-    """Read goals, each a text such as ``3,28``."""
+    """Convert texts such as ``3,28`` to goals, ``(goals, 2)``; other texts raise ``ValueError``."""
     try:
         goals = np.array([text.split(",") for text in texts], float)
     except ValueError:
@@ -34,7 +34,7 @@ def parse_goals(texts: Sequence[str]) -> Float[np.ndarray, "goals 2"]:
 
 
 def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "VisibilityGraph | NearestGoal":
-    """Return the exact distance to the goal, or to the nearest of several goals."""
+    """Return the exact distance function to the goal, or to the nearest of several goals."""
     from plr_jax import NearestGoal, VisibilityGraph
 
     first: Any = VisibilityGraph(workspace, goals[0])
@@ -43,9 +43,10 @@ def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "V
 
 @dataclass(frozen=True)
 class NamedMap:
-    """The name of a scene or the path of a map, goals, and options of :func:`plr_jax.scenes.read_workspace`.
+    """A map as given on the command line: a scene or a file, its goals, and the options with which it is read.
 
-    ``goals`` is None for the scene's own. The option ``radius`` is that of a disc robot.
+    ``name`` is the name of a scene or the path of a file. If ``goals`` is None, the scene's own goal is used.
+    ``options`` has arguments of :func:`plr_jax.scenes.read_workspace`, and the ``radius`` of a disc robot, if any.
     """
 
     name: str
@@ -54,7 +55,7 @@ class NamedMap:
 
     @property
     def label(self) -> str:
-        """The text that files store, such as ``scan.png --goal=3,28 --resolution=0.05``."""
+        """The text that describes this map in a PLR's file, such as ``scan.png --goal=3,28 --resolution=0.05``."""
         goals = [] if self.goals is None else [";".join(f"{x!r},{y!r}" for x, y in self.goals.tolist())]
         words = [f"--goal={text}" for text in goals]
         words += [f"--{key.replace('_', '-')}={value}" for key, value in self.options.items()]
@@ -62,7 +63,7 @@ class NamedMap:
 
     @classmethod
     def of_label(cls, label: str) -> "NamedMap | None":
-        """Return the map that a file's label names, or None if it names no map."""
+        """Convert a text such as :attr:`label` back to the map that it describes; None if it describes no map."""
         try:
             name, *words = shlex.split(label)
             arguments = dict(word.removeprefix("--").split("=", 1) for word in words)
@@ -74,7 +75,10 @@ class NamedMap:
         return named if name in SCENES or Path(name).suffix else None
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
-        """Return the workspace, with obstacles grown by the option ``radius``, and the goals, or None if unknown."""
+        """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
+
+        If :attr:`goals` is None, return the own goal of a scene with one robot, or None as the goals of another map.
+        """
         from plr_jax import scenes
 
         reading = {key: value for key, value in self.options.items() if key != "radius"}
@@ -97,10 +101,12 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map: str | None, *, is_needed: bool = False
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
-    """Return the workspace and the goals that the label of a file names; None for what is not known.
+    """Return the workspace and the goals of the map from which a PLR's file was built; None where they are unknown.
 
-    ``map`` replaces the name of the map. Without it, a map that does not exist is looked for beside the file. If a
-    map that is not needed cannot be read, a warning is shown.
+    ``content`` is the PLR in the file; its label names the map, the goals and the options. If ``map`` is given, it
+    replaces the map's name. Otherwise, a map that does not exist under its name is searched for in the folder of the
+    file. If the map cannot be read, ``ValueError`` is raised if ``map`` is given or ``is_needed``; else a warning is
+    printed, and the workspace is None.
     """
     # 1. Find the map. The options of the label hold for another map too.
     named = NamedMap.of_label(getattr(content, "label", "")) or NamedMap(map or "", None, {})
@@ -124,7 +130,10 @@ def read_map_of_file(
 
 
 def check_output(path: Path | None, endings: Sequence[str] = (), inputs: Sequence[str | Path | None] = ()) -> None:
-    """Raise an error, before the work starts, if a file cannot be written, is an input, or has another ending."""
+    """Raise a ``ValueError`` if an output file cannot be written, is one of ``inputs``, or has none of ``endings``.
+
+    Commands call this function before the work starts. If ``endings`` is empty, any file name is accepted.
+    """
     if path is None:
         return
     if endings and path.suffix.lower() not in endings:

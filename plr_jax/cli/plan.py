@@ -81,7 +81,10 @@ def plan(
 
 
 def read_problem(name: str, num_robots: int | None) -> "Problem":
-    """Return a scene of ``plr_jax.scenes`` by its name, or read a scene file; None is the scene's default number."""
+    """Return the scene of ``plr_jax.scenes`` with this name, or read a scene file whose name ends in ``.json``.
+
+    If ``num_robots`` is None, the scene has its default number of robots.
+    """
     from plr_jax import scenes
 
     if num_robots is not None and name not in _DEFAULT_ROBOTS:
@@ -96,9 +99,10 @@ def read_problem(name: str, num_robots: int | None) -> "Problem":
 
 
 def solve(problem: "Problem", options: "BLOptions", heuristic: "HeuristicFn | None" = None) -> "Solution":
-    """Plan with a heuristic, by default along the robots' lattices; print a report; fail if the path is not valid.
+    """Plan a path, and print a report. If the path found is not valid, the command ends with exit code 1.
 
-    The lower bound is the sum of the exact distances of the robots, each alone in the workspace.
+    If ``heuristic`` is None, :func:`plr_jax.bl_plan` uses its default. The report compares the path's cost with a
+    lower bound: the sum of the robots' exact distances to their goals, each robot alone in the workspace.
     """
     from plr_jax import bl_plan, exact_lower_bound, validate
 

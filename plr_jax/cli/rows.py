@@ -1,4 +1,4 @@
-"""Reading the points of a table block by block, so that tables may have any length."""
+"""Read the points of a CSV table block by block, so that tables of any length fit into memory."""
 
 import re
 from collections.abc import Iterator
@@ -10,20 +10,20 @@ from jaxtyping import Float
 
 from plr_jax.cli.app import warn
 
-_BLOCK_BYTES = 1 << 20  # read at a time, which bounds the memory
-_MOST_SHOWN = 80  # characters of a bad row in a warning
+_BLOCK_BYTES = 1 << 20  # bytes read at a time, which bounds the memory
+_MOST_SHOWN = 80  # most characters of a bad row in a warning
 _HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field begins with a letter or _
 
 
 def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n dim"]]:
     """Yield the points of a table block by block: ``dim`` comma-separated numbers per line, after an optional header.
 
-    ``file`` is a binary file. Blank lines are skipped. Rows that are not points become NaN; a warning for each block
-    names the first of them. ``ValueError`` is raised if the table has no rows.
+    ``file`` is a binary file, called ``name`` in messages. Blank lines are skipped. Rows that are not points become
+    NaN; for each block, a warning names the first such row. ``ValueError`` is raised if the table has no rows.
     """
     expected = f"{dim} comma-separated numbers"
     may_be_header = is_empty = True
-    num_lines = 0  # in earlier blocks
+    num_lines = 0  # number of lines in earlier blocks
     for block in _blocks(file):
         # 1. Number the lines of the block from 1, and drop blank ones, and the header if this is the first row.
         lines = block.split("\n")
@@ -49,7 +49,10 @@ def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n
 
 
 def _blocks(file: Any) -> Iterator[str]:
-    """Yield the whole lines that have arrived, so that rows typed into a pipe are answered at once."""
+    """Yield the text of a binary file in blocks of whole lines.
+
+    A block is yielded as soon as its lines arrive, so that rows typed into a pipe are answered at once.
+    """
     rest = b""
     while data := file.read1(_BLOCK_BYTES):
         block, newline, rest = (rest + data).rpartition(b"\n")
@@ -59,9 +62,10 @@ def _blocks(file: Any) -> Iterator[str]:
 
 
 def _parse(rows: list[str], points: Float[np.ndarray, "n dim"]) -> list[int]:
-    """Write the numbers of rows into ``points``, in place, and return the indices of bad rows.
+    """Write the numbers of text rows into the array ``points``, and return the indices of bad rows.
 
-    ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
+    ``np.loadtxt`` is fast for many rows, but fails if a row is bad. If it fails, each half of the rows is parsed
+    separately. Bad rows of ``points`` stay unchanged.
     """
     with suppress(ValueError):
         read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)

@@ -1,10 +1,11 @@
 """Separation tests for convex bodies in straight motion, by bisection of the motions until a test is certain.
 
-In one unit of time, a position moves at constant velocity and a heading turns at a constant rate, the shorter way.
-A test (*kernel*) looks for an axis that separates two bodies during an interval of their motions; the axis is fixed,
-or turns with one body. The gap along the axis deviates from its linear interpolation by at most an eighth of its
-largest second derivative, the *bulge*. So the smaller gap at the two ends, less the bulge, is a lower bound. Each
-bisection divides the bulge by four; it is 0 if nothing turns. Motions that stay uncertain count as collisions.
+A motion takes one unit of time: the position moves at constant velocity, and the heading turns at a constant rate,
+the shorter way. A test (*kernel*) looks for an axis that separates two bodies during an interval of their motions;
+the axis is fixed, or turns with one body. The gap along the axis deviates from its linear interpolation by at most an
+eighth of its largest second derivative, called the *bulge*. So the smaller of the gaps at both ends of the interval,
+minus the bulge, is a lower bound of the gap. Each bisection divides the bulge by four; the bulge is 0 if nothing
+turns. Motions that stay uncertain count as collisions.
 """
 
 import math
@@ -32,7 +33,10 @@ Ends: TypeAlias = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
 class MovingBodies(NamedTuple):
-    """Convex bodies in straight motion during one unit of time; each array has one column per body."""
+    """Convex bodies in straight motion during one unit of time; each array has one column per body.
+
+    The pose at the begin is ``(x, y, theta)``; the change of the pose per unit of time is ``(dx, dy, turn)``.
+    """
 
     size: Float[np.ndarray, "*size n"]  # half length and half width of boxes (2, n), or vertices (2, vertices, n)
     x: Column
@@ -49,14 +53,17 @@ class MovingBodies(NamedTuple):
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
     def bisected(self) -> "MovingBodies":
-        """Return both halves of each motion, in adjacent columns; each half takes one unit of time again."""
+        """Return both halves of each motion, in adjacent columns, each slowed down to take one unit of time."""
         half = [0.5 * rate for rate in self[4:]]
         pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
-    """Return a robot's straight motions from ``q0`` to ``q1``, still without its shape, which ``with_size`` adds."""
+    """Return a robot's straight motions from ``q0`` to ``q1``.
+
+    The result has no shape yet (its ``size`` is empty): ``with_size`` adds the shape.
+    """
     heading = q0[:, 2] if robot.dof == 3 else np.zeros(len(q0))
     turn = shorter_turn(q0[:, 2], q1[:, 2]) if robot.dof == 3 else np.zeros(len(q0))
     dx, dy = q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1]
@@ -66,8 +73,12 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 def bisect(
     kernel: Callable[..., Verdict], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Bisect motions until ``kernel``, a separation test, is certain; return which pairs stay ``reach`` apart."""
-    # A negative reach allows an overlap.
+    """Return whether each body of ``a`` stays ``reach`` away from the body of ``b`` in the same column.
+
+    The bodies move at the same time. A negative ``reach`` allows overlaps. Motions are bisected until ``kernel``, a
+    separation test, is certain. Pairs that are still uncertain after 12 bisections count as too near. If the
+    ``deadline``, a time of ``time.perf_counter``, passes, ``TimeoutError`` is raised.
+    """
     num_a, num_b = a.size.shape[-2], b.size.shape[-2]  # corners
     size = max(1, _CORNERS // max(num_a + num_b, num_a * num_b if reach > 0 else 0))  # distances need all pairs
     apart = np.ones(len(a.x), dtype=bool)
@@ -97,7 +108,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
     # In a unit of time, a function f falls below the smaller of f(0) and f(1) by at most max |f''| / 8. Along an axis
     # that turns with a, the offset of b has |f''| <= far * turn_a**2 + 2 * speed * |turn_a|, and the extent of b,
     # which turns by turn_b - turn_a against the axis, radius_b * (turn_b - turn_a)**2. The extent of a is constant.
-    # Here `far` is the largest distance of the reference points, and `speed` that of their relative motion.
+    # Here `far` is the largest distance of the reference points, and `speed` the speed of their relative motion.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -107,7 +118,10 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
 
 
 def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
-    """Return the unit normal of each motion of ``b`` relative to ``a``; ``(0, 1)`` if there is no relative motion."""
+    """Return the unit vector normal to the velocity of each body of ``b`` relative to the body of ``a``.
+
+    If this velocity is 0, return ``(0, 1)``.
+    """
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)
     nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
@@ -115,7 +129,10 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
 
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not."""
+    """Return which pairs of convex bodies certainly stay ``reach`` apart, and which pairs certainly do not.
+
+    The results are two boolean arrays with one entry per pair. For an uncertain pair, both entries are False.
+    """
     # The gap along a unit vector n is min(n . q over corners q of b) - max(n . p over corners p of a). `gap` is the
     # largest lower bound of the gap during the whole motion, over the axes below.
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
@@ -143,7 +160,10 @@ def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict
 
 
 def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, Corners]:
-    """Return both bodies' corners at one end (0 or 1) of each motion, relative to the reference point of ``a``."""
+    """Return the corners of ``a`` and of ``b`` at one end of each motion, relative to the reference point of ``a``.
+
+    ``end`` is 0 for the begin of the motion, 1 for its end.
+    """
     turned = []
     for body in (a, b):
         (c, s), (x, y) = _heading(body, end), body.size
@@ -161,7 +181,11 @@ def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
-    """Return gaps between bodies with corners ``p`` and ``q`` along the outward normals of the sides of ``p``."""
+    """Return the gap between two bodies along the outward normal of each side of the first body.
+
+    ``p`` are the corners of the first body, ``q`` the corners of the second. The gap is negative if the bodies
+    overlap along this direction.
+    """
     # Corners are in counterclockwise order. On a side's line, n . p is equal at both corners: take the first.
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
@@ -171,7 +195,7 @@ def _side_gaps(p: Corners, q: Corners) -> Sides:
 
 
 def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
-    """Return the least scalar product of a body's corners ``q`` with each direction ``(nx, ny)``."""
+    """Return, for each direction ``(nx, ny)``, its least scalar product with the corners ``q`` of a convex body."""
     num_corners, n = q.shape[1:]
     stride = 1 << ((num_corners - 1) // _FEW).bit_length()
     heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
@@ -191,12 +215,16 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
-    """Return the gap between two bodies along a fixed direction, at the end of the motion where it is smaller."""
+    """Return the smaller of the gaps between two bodies at begin and end, along a fixed direction ``(nx, ny)``."""
     return np.minimum(*((nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends))
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end."""
+    """Return the direction from the first body to the second, as a unit vector, when they are nearest in the motion.
+
+    Also return the distances of the two bodies at the begin and at the end of the motion. The bodies must not
+    overlap.
+    """
     # Find the point nearest to the origin in the swept Minkowski difference, the differences q - p of the corners of
     # both bodies. It is on a side of one body minus a corner of the other, at the begin or end, or on the path of a
     # difference from begin to end. Difference [:, i, j] is q[j] - p[i]: sides of p lead along axis 1, sides of q
@@ -239,7 +267,10 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which motions certainly keep a point ``reach`` away from a box, and which certainly do not."""
+    """Return which pairs of a box ``a`` and a point ``b`` certainly stay ``reach`` apart, and which certainly do not.
+
+    The results are two boolean arrays with one entry per pair. For an uncertain pair, both entries are False.
+    """
     # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
     ends, distances = [], []
     for end in (0.0, 1.0):
@@ -275,7 +306,11 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distance from segments to the nearest corner of a box around the origin, or minus the overlap."""
+    """Return the distance from each segment to the nearest corner of a box around the origin.
+
+    The segment leads from ``(x0, y0)`` to ``(x1, y1)``; the box has the half sides ``half_x`` and ``half_y``. If the
+    segment and the box overlap, return minus the depth of the overlap.
+    """
     # The distance to the box is the minimum of this and of the distances from the segment's ends to the box.
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]

@@ -1,7 +1,7 @@
 """Collision tests of a team along simultaneous straight motions: with the workspace, and between robots.
 
-During a motion, a robot stays in a circle around the motion's midpoint. Along a path, only robots with overlapping
-circles are tested exactly. The tolerance of the exact tests covers the rounding of the circles.
+During a motion, a robot stays in a circle around the motion's midpoint. Only pairs of robots with overlapping circles
+are tested exactly. The tolerance of the exact tests is larger than the rounding errors of the circles.
 """
 
 import math
@@ -33,7 +33,7 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
-    """Circles in the plane, one for each entry of the arrays."""
+    """Circles in the plane: circle ``i`` has the center ``(x[i], y[i])`` and the radius ``radius[i]``."""
 
     x: Float[np.ndarray, " n"]
     y: Float[np.ndarray, " n"]
@@ -41,7 +41,7 @@ class Circles(NamedTuple):
 
 
 class TeamTrajectory:
-    """A copy of a team's path in which motions can be replaced, with a circle around each motion of each robot."""
+    """A copy of a team's path that can be changed, with a circle around each motion of each robot."""
 
     def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
         self.path = path.copy()
@@ -51,7 +51,10 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace robot ``i``'s path, or ``rows`` of it, by ``q``; the first and last of ``rows`` must not change."""
+        """Replace the path of robot ``i``, or only the given ``rows`` of the path, by the configurations ``q``.
+
+        If ``rows`` is given, the first and the last row of ``q`` must equal the path's rows that they replace.
+        """
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
@@ -60,7 +63,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, first_row: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """Find the robots whose motions come so near to circles that robot ``i`` in a circle may meet them.
+        """Find the robots that robot ``i`` may meet while its reference point is in given circles.
 
         While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
         of robot ``i`` is somewhere in circle ``k`` of ``around``. Robots ``excluded`` are left out.
@@ -89,20 +92,27 @@ class TeamTrajectory:
 
 
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
-    """Return the indices ``i`` for which two robots may meet if their reference points stay in the i-th circles."""
+    """Return the indices ``i`` for which two robots may meet if each stays in its i-th circle.
+
+    The reference point of ``robot_a`` stays in circles of ``around_a``, the reference point of ``robot_b`` in circles
+    of ``around_b``.
+    """
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Return, for each row, a circle around all straight motions from one of ``k`` positions to one of ``l``."""
+    """Return ``n`` circles. Circle ``i`` contains all straight motions from positions ``begin[i]`` to ``end[i]``.
+
+    A motion leads from any of the ``k`` positions ``begin[i]`` to any of the ``l`` positions ``end[i]``.
+    """
     return _between(_around(begin), _around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return a circle for each step but the last, around all straight motions to the next step.
+    """Return ``steps - 1`` circles. Circle ``i`` contains all straight motions from step ``i`` to step ``i + 1``.
 
-    A motion leads from one of the step's ``k`` positions to one of the next step's.
+    A motion leads from any of the ``k`` positions ``q[i]`` to any of the ``k`` positions ``q[i + 1]``.
     """
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
@@ -126,10 +136,11 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
 def motions_apart(
     robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
 ) -> Apart:
-    """Return whether two robots keep clear of one another in motions ``a0`` to ``a1`` and ``b0`` to ``b1``.
+    """Return whether two robots stay apart while one moves from ``a0`` to ``a1`` and the other from ``b0`` to ``b1``.
 
-    Configurations ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, except
-    that a motion may be rejected if a robot that is not round turns within about 1e-7 of its size from a collision.
+    Configurations ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, with one
+    exception: it may be False if a robot that is not round turns within about 1e-7 of its size from a collision.
+    ``TimeoutError`` is raised if the ``deadline``, a time of ``time.perf_counter``, passes.
     """
     require_time(deadline, "all motions were tested")
     # 1. Divide large batches along their first axis.
@@ -173,7 +184,7 @@ def motions_apart(
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """A test, with a deadline, whether straight motions of a whole team hit no obstacle and no other robot."""
+    """A test, with a deadline, whether a whole team moves straight without hitting obstacles or one another."""
 
     workspace: Workspace
     robots: Sequence[Robot]
@@ -203,8 +214,11 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, first_row: Rows, j: Rows
     ) -> Bool[np.ndarray, " m"]:
-        """Return whether motions of robot ``i`` hit robots ``j`` in motions of ``trajectory`` from ``first_row``."""
-        # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
+        """Return whether each of ``m`` motions of robot ``i`` hits another robot, which moves at the same time.
+
+        Robot ``i`` moves from ``begin[k]`` to ``end[k]``; at the same time, robot ``j[k]`` moves from row
+        ``first_row[k]`` of ``trajectory`` to the next row. ``result[k]`` says whether they hit each other.
+        """
         others_begin, others_end = trajectory.path[first_row, j], trajectory.path[first_row + 1, j]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

@@ -19,9 +19,10 @@ Booleans = Bool[np.ndarray, "n"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
-    """Return whether a blocked voxel is nearer than ``radius`` to a box.
+    """Return, for each box from corner ``lo`` to corner ``hi``, whether a blocked voxel is nearer than ``radius``.
 
-    If ``lo`` and ``hi`` are swapped, a voxel must be nearer than ``radius`` to every point of the box.
+    If the arguments ``lo`` and ``hi`` are swapped, return whether a blocked voxel is nearer than ``radius`` to every
+    point of the box.
     """
     # 1. The box enlarged by the radius contains all points within the radius, and points beyond it near its corners.
     #
@@ -53,7 +54,11 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers, Numbers]]:
-    """Yield rows of voxels along the last axis within ``radius`` of boxes: index of the box, first and last voxel."""
+    """Yield, in batches, the rows of voxels along the last axis that are within ``radius`` of each box.
+
+    A box leads from corner ``lo`` to corner ``hi``. A batch is, for each row, the index of the box, and the numbers
+    of the first and of the last voxel (a number per axis).
+    """
     # A voxel is within the radius r of a box if its gaps from the box along the axes have a sum of squares below r^2.
     # The gaps along all axes but the last depend on the row alone. They leave a reach along the last axis.
     first, last = _touching(grid, lo - radius, hi + radius)
@@ -83,7 +88,10 @@ def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordi
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Return whether a ball hits no blocked voxel on straight motions, up to rounding; touching is allowed."""
+    """Return whether each straight motion of a ball, with its center from ``q0`` to ``q1``, hits no blocked voxel.
+
+    The result is exact up to rounding errors. Touching is allowed.
+    """
     return _in_batches(lambda a, b: _ball_keeps_clear(grid, a, b, radius), q0, q1)
 
 
@@ -109,7 +117,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
         for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
             tested = motion[short][piece]
             is_clear[tested[squared_distances(grid, q0[:, tested], q1[:, tested], voxel) < radius**2]] = False
-        # 4. Halve the others, unless their motion hits a voxel.
+        # 4. Halve the remaining parts, unless their motion hits a voxel.
         halved = is_clear[motion] & ~short
         width /= 2
         motion, begin = np.tile(motion[halved], 2), np.append(begin[halved], begin[halved] + width)
@@ -119,7 +127,11 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers]]:
-    """Yield pairs of a box and a blocked voxel within ``radius`` of it: indices of boxes, and numbers of voxels."""
+    """Yield, in batches, the pairs of a box and a blocked voxel that are within ``radius`` of each other.
+
+    A box leads from corner ``lo`` to corner ``hi``. A batch is, for each pair, the index of the box, and the numbers
+    of the voxel (a number per axis).
+    """
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         row = np.flatnonzero(grid.num_blocked(begin, end))
         index, place = ragged_indices(end[-1, row] - begin[-1, row] + 1)
@@ -131,7 +143,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, " n"]:
-    """Return the least squared distance between the i-th motion and the i-th voxel."""
+    """Return, for each column, the squared distance between the motion from ``q0`` to ``q1`` and a ``voxel``."""
     # At the time t in [0, 1] of a motion, let excess_a(t) be how far the point is beyond the voxel along axis a, with
     # a sign; 0 if it is between the faces lo_a and hi_a. Half the derivative of the squared distance, the slope
     # sum_a change_a * excess_a(t), never decreases in t, and is linear between the times at which an axis crosses a
@@ -158,16 +170,20 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
 
 
 def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
-    """Return whether a point passes on straight motions without entering blocked voxels; touching is allowed."""
+    """Return whether each straight motion of a point, from ``q0`` to ``q1``, enters no blocked voxel.
+
+    Touching is allowed.
+    """
     return _in_batches(lambda a, b: _Traversal(grid, a, b).passes(), q0, q1)
 
 
 class _Traversal:
     """An exact traversal of voxels along many motions at once, from one crossed face to the next.
 
-    A motion within a face or an edge touches several voxels at once. So the state of a motion is the set of voxels,
-    among the ``2**dim`` around its current point, that it can be in. It cannot pass between blocked voxels that share
-    only an edge or a corner. See Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", 1987.
+    A motion within a face or an edge touches several voxels at once. So the state of a motion is a set: the free
+    voxels that it can be in, among the ``2**dim`` voxels around its current point. A motion cannot pass between
+    blocked voxels that share only an edge or a corner. See Amanatides and Woo, "A fast voxel traversal algorithm for
+    ray tracing", 1987.
     """
 
     def __init__(self, grid: VoxelGrid, q0: Coordinates, q1: Coordinates):
@@ -191,7 +207,7 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)  # in bytes, which are the voxels' indices in `padded.ravel()`
 
     def passes(self) -> Booleans:
-        """Return whether each motion passes: whether it reaches its end with a voxel left in which it can be."""
+        """Return whether each motion passes: whether it can be in at least one free voxel at its end."""
         # 1. A motion passes if no voxel is blocked in its bounding box.
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
@@ -232,12 +248,15 @@ class _Traversal:
         return np.take_along_axis(around, self.corner | beyond, axis=1)
 
     def _free_around(self, motions: Int[np.ndarray, " some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        # `span`: the step, along each axis, from the voxels with bit 0 to those with bit 1.
+        # `span`: the step, along each axis, from the voxels with bit 0 to the voxels with bit 1.
         index = self.strides @ self.at[:, motions]
         return self.grid.padded.ravel()[index[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
-        """Return across which axes each motion leaves its current voxels next, and the next face along each axis."""
+        """Return the axes along which each motion crosses its next face or faces, and the next face along every axis.
+
+        The axes are booleans, and the faces coordinates. Along several axes, crossings may be nearly simultaneous.
+        """
         at, q0 = self.at[:, rows], self.q0[:, rows]
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, at + (self.step[:, rows] > 0), strict=True)])
         time = np.full(face.shape, np.inf)

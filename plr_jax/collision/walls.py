@@ -1,8 +1,8 @@
 """Collision tests of one robot with a workspace along straight motions.
 
-A grid over the bounds stores the clearance at each cell's center and the walls near it. The clearance changes by at
-most the distance moved, which decides most motions at once. The other motions are tested against the walls near their
-cells or, for point robots, against all walls by ``Workspace.is_visible``.
+A grid over the bounds stores the clearance at each cell's center, and the walls near the center. Clearance is
+1-Lipschitz in the position, so clearances at centers decide most motions. The other motions are tested against the
+walls near their cells or, for point robots, against all walls by ``Workspace.is_visible``.
 """
 
 import math
@@ -33,7 +33,7 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 class MotionTest:
-    """A test, with a deadline, whether a robot stays off obstacles and within the bounds on straight motions."""
+    """A test, with a deadline, whether straight motions keep a robot off obstacles and within the bounds."""
 
     def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
         self.workspace, self.robot = workspace, robot
@@ -51,7 +51,7 @@ class MotionTest:
         #    its length from there, and the robot `size` from the piece. A point is tested by `is_visible` instead.
         self._longest = max(2 * cell, size) if size > 0 else np.inf
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
-        # 3. Compute the clearance at each center, and the edges within reach: those of cell i are
+        # 3. Compute the clearance at each center, and the edges within reach: cell i has the edges
         #    _edge[_first[i] : _first[i + 1]].
         counts, edges, clearance = [], [], []
         for begin in range(0, len(centers), _CENTERS):
@@ -66,9 +66,10 @@ class MotionTest:
         self._clearance = np.concatenate(clearance)
 
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
-        """Return whether motions between finite configurations are free all along, up to ``workspace.tolerance``.
+        """Return whether motions between finite configurations are collision-free, up to ``workspace.tolerance``.
 
-        A robot that turns within about 1e-7 of its size from a wall may be rejected; otherwise the test is exact.
+        The result is exact, with one exception: it may be False if a robot turns within about 1e-7 of its size from a
+        wall.
         """
         free = np.empty(len(q0), dtype=bool)
         for begin in range(0, len(q0), _CHUNK):
@@ -77,7 +78,11 @@ class MotionTest:
         return free
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
-        """Return whether a point robot is at a point where obstacles touch, if paths may not pass; else False."""
+        """Return whether a point robot is at a contact: a point where obstacles touch, which paths may not cross.
+
+        The result is False for robots that are larger than a point, and if ``workspace.squeeze`` lets paths lead
+        through contacts.
+        """
         is_at = np.zeros(q.shape[:-1], dtype=bool)
         if self._is_point and not self.workspace.squeeze:
             points: Any = shapely.points(q[..., :2].reshape(-1, 2))
@@ -86,12 +91,18 @@ class MotionTest:
         return is_at
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
-        """Return whether the robot is surely free at any heading with its reference point anywhere in each circle."""
+        """Return whether the robot is certainly free for all reference points in each circle, at any heading.
+
+        The circles have centers ``(x, y)`` and the given radii. If unsure, return False.
+        """
         cell, from_center = self._locate(x, y)
         return self._clearance[cell] - from_center > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
-        """Return which motions are free: by clearance where that decides, else by tests against walls."""
+        """Return which motions are free.
+
+        The clearances that the grid stores decide most motions; the others are tested against walls.
+        """
         pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
         # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
@@ -119,7 +130,10 @@ class MotionTest:
         return free
 
     def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, " n"], Column]:
-        """Return the grid cell of each point (the nearest one for points outside), and the distance to its center."""
+        """Return the index of the grid cell of each point, and the distance from the point to the cell's center.
+
+        Points outside the grid get a cell at its edge.
+        """
         lo, (columns, rows) = self.workspace.bounds.lo, self._shape
         column = np.clip((x - lo[0]) / self._cell, 0, columns - 1).astype(np.intp)
         row = np.clip((y - lo[1]) / self._cell, 0, rows - 1).astype(np.intp)
@@ -127,7 +141,10 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
-        """Return which pieces of motions hit no wall near their cells. For a point robot, all walls are tested."""
+        """Return which pieces of motions hit no wall.
+
+        For a point robot, all walls are tested, for other robots the walls near each piece's cell.
+        """
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
@@ -141,7 +158,7 @@ class MotionTest:
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
-        """Return which pieces of motions keep clear of the walls near their cells."""
+        """Return which pieces of motions of a robot, larger than a point, hit no wall near the piece's cell."""
         robot, tolerance = self.robot, self.workspace.tolerance
         clear = np.ones(len(cell), dtype=bool)
         # 1. List the pairs of a piece and an edge near its cell, and compute the distance from the path of the
@@ -189,7 +206,7 @@ class MotionTest:
 
 
 class IgnoredByCache(float):
-    """A deadline that equals all others, so that ``lru_cache`` ignores it."""
+    """A deadline that compares equal to every object, so that ``lru_cache`` ignores it in its keys."""
 
     def __eq__(self, other: object) -> bool:
         return True
@@ -208,7 +225,10 @@ def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) 
 def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
 ) -> tuple[MovingBodies, Int[np.ndarray, " m"] | None]:
-    """Cut motions into equal parts up to ``longest``; also return the motion of each part, or None without cuts."""
+    """Cut each motion into equal parts no longer than ``longest``, and return all parts.
+
+    Also return, for each part, the index of its motion; or None if no motion is cut.
+    """
     whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():

@@ -1,4 +1,4 @@
-"""Cost-to-go functions computed from free space and motion costs: the eikonal equation on a partition."""
+"""Cost-to-go functions computed from free space and motion costs, as solutions of the eikonal equation."""
 
 from plr_jax.eikonal.rasters import CostDistance as CostDistance
 from plr_jax.eikonal.rasters import cost_distance as cost_distance

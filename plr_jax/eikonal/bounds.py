@@ -1,8 +1,8 @@
 """Proven bounds of the cost-to-go on a mesh of cells, and an estimate between them.
 
-The lower bound is the solution of the convex program (``program.py``), the upper bound the cost of paths
-(``paths.py``). :meth:`CostToGoField.bounds_over` bounds the error of any multilinear function in boxes, such as the
-leaves of a PLR (``certified.py``).
+The lower bound is the solution of a convex program (``program.py``), the upper bound is the cost of paths
+(``paths.py``). :meth:`CostToGoField.bounds_over` bounds the error of any function that is multilinear in boxes, such
+as a PLR in its leaves (``certified.py``).
 """
 
 import warnings
@@ -141,12 +141,12 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[is_known].mean()) if is_known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bound the difference between the cost-to-go and a multilinear function from below and above in each box.
+        """Bound the cost-to-go minus a function that is multilinear in boxes, from below and above, in each box.
 
-        A box lies in the mesh cell of index ``cell``, which is not blocked; its corners ``lo`` and ``hi`` are local
-        coordinates of this cell, from 0 to 1. ``corners`` are the function's values at all corners of the box. The
-        bounds also hold at points slightly outside of the box, which rounding may assign to it. An upper bound is
-        ``inf`` if paths are not known from all free points of the box.
+        Box ``i`` lies in mesh cell ``cell[i]``, which must not be blocked. The lower and upper corner of the box,
+        ``lo[i]`` and ``hi[i]``, are local coordinates of this cell, from 0 to 1. ``corners[i]`` are the function's
+        values at all corners of the box. The bounds also hold at points slightly outside of the box, which rounding
+        may assign to the box. An upper bound is ``inf`` if some free point of the box has no known path to a goal.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -164,8 +164,8 @@ class CostToGoField:
             # 1. Lower bounds. Let f be the given function. The proven bound is g(u): u is the solution, a polynomial
             #    of degree n along each axis of the cell, and g the rescaling, whose slopes are from 0 to 1. So
             #    g(u) - u falls with u: in the box it is at least `bent`, its value at the largest u. The Bernstein
-            #    coefficients of u (`control`) enclose u. Those of f, written with degree n, are its values on the
-            #    lattice. So
+            #    coefficients of u (`control`) enclose u. The coefficients of f, written with degree n, are its values
+            #    on the lattice. So
             #      g(u) - f >= min over the lattice of (control - f)  +  bent.
             #    The bound h by straight motions is concave in the box, and f is linear along each axis. So h - f is
             #    concave along each axis, and least at a corner.
@@ -202,7 +202,10 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return, at the corners of each box, a function that is concave over the box and at most the cost-to-go."""
+        """Return the values, at the corners of each box, of a concave lower bound of the cost-to-go in the box.
+
+        ``lo`` and ``hi`` are the lower and upper corners of boxes, in coordinates of the domain.
+        """
         # Any path to goal g costs at least `least_rate` times the norm N of the straight motion from x to g. Over a
         # box with the middle m, concave lower bounds of N are
         #   nearest goal:  N(x - g) >= s . (x - g), with s the gradient of N at m - g;
@@ -287,11 +290,11 @@ class CostToGoField:
 
 
 def _filled(values: AtCorners, node: Int[np.ndarray, "cells corners"]) -> AtCorners:
-    """Fill in unknown values (NaN) at the corners of cells; ``node`` is the index of each corner's node.
+    """Replace unknown values (NaN) at the corners of cells by averages of known values.
 
-    Each round has two steps: a cell offers the mean of its known corners to its unknown corners, and an unknown
-    corner takes the mean of all offers at its node. Rounds end if no cell has both known and unknown corners; values
-    that are still unknown are 0.
+    Corners of several cells at the same point have the same index ``node``. In each round, a cell offers the mean of
+    its known values to its unknown corners, and an unknown corner takes the mean of all offers at its node. Rounds
+    end when no cell has both known and unknown corners. Values that are then unknown become 0.
     """
     num = int(node.max()) + 1
     while True:

@@ -1,8 +1,8 @@
-"""PLRs of an estimate of the cost-to-go, whose leaves store the proven bounds of a field.
+"""PLRs of an estimated cost-to-go, with proven bounds of the true cost-to-go in each leaf.
 
-A PLR has one leaf for each cell of the mesh if its file then fits, else fewer leaves that are fitted to the estimate.
-Each leaf stores the worst bounds of the cells that it meets. The file also holds the goals, if there are few: the
-least cost of a straight motion to them is one more lower bound.
+A PLR has one leaf for each cell of the mesh if the file then fits, else fewer leaves, which are fitted to the
+estimate. Each leaf stores the worst bounds of the cells that it overlaps. If there are few goals, the file also holds
+the goals: the least cost of a straight motion to a goal is another lower bound.
 """
 
 from dataclasses import replace
@@ -44,9 +44,9 @@ _STRAIGHT_BYTES = 0.4  # most bytes of the goals, as a share of the file
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
-    """Return a PLR whose leaves are the cells of the mesh, or None if its file takes more than ``max_bytes``.
+    """Return a PLR whose leaves are the cells of the mesh, or None if the file takes more than ``max_bytes``.
 
-    It has bounds if their ``field`` is given and the file has room for them.
+    If ``field`` is given, the PLR has the field's proven bounds, and the file size includes them.
     """
     mesh = estimate.mesh
     values = estimate.corner_values
@@ -65,7 +65,10 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Return a PLR of at most ``max_bytes`` bytes, fitted to an estimate, with the bounds of ``field`` if given."""
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to samples of an estimate.
+
+    If ``field`` is given, the PLR has the field's proven bounds. ``seed`` is the seed of the samples.
+    """
     # 1. Limits of the leaves: the proof and the goals take a part of the file.
     straight = None if field is None else _straight_bound_of(field, max_bytes)
     num_other_bytes = frame_size(estimate.mesh.domain) + (0 if straight is None else straight.num_bytes)
@@ -87,7 +90,11 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
-    """Add proven bounds of (cost-to-go - leaf function) to each leaf: the worst bounds of the cells that it meets."""
+    """Return the file's contents with proven bounds of (cost-to-go - leaf function) for each leaf.
+
+    A leaf gets the worst of the field's bounds over all mesh cells that overlap the leaf. ``straight`` is the lower
+    bound by straight motions, which is stored too.
+    """
     mesh = field.mesh
     cells = contents.tree.leaves
     corners = corner_bits(mesh.dim)
@@ -172,11 +179,13 @@ def _straight_bound_of(field: CostToGoField, max_bytes: int | float) -> Straight
 def straight_bound(
     domain: Box, motion_cost: MotionCost, least_rate: float, goals: Goals, max_bytes: int | float
 ) -> StraightBound | None:
-    """Return the lower bound that a file stores: the least cost of straight motions to goals, less a margin.
+    """Return the data of a lower bound: the least cost of straight motions to the goals, minus a margin for rounding.
 
-    ``goals`` are fractions of the domain, and ``least_rate`` is the least cost of a motion whose norm is 1. The bound
-    is 0 if there are more than 64 goals, if goals take more than 40 % of ``max_bytes``, or if 32 bits do not hold the
-    squares of costs; None if 32 bits do not hold the squares of lengths.
+    ``goals`` are fractions of the domain, and ``least_rate`` is the least cost of a motion whose norm is 1.
+
+    The bound is 0 everywhere if there are more than 64 goals, if the goals take more than 40 % of ``max_bytes``, or
+    if squares of costs overflow or vanish in 32 bits. If squares of lengths overflow or vanish in 32 bits, the result
+    is None.
     """
     # A query computes, in 32 bits, the least over goals g of
     #   sum over blocks of rate * |(x - g)[axes of the block]|  -  margin.
@@ -213,7 +222,12 @@ def _above_voxel_paths(
     coefficients: Float[np.ndarray, "leaves corners"],
     across: Float[np.ndarray, "leaves dim"],  # largest change of each leaf's function f across the leaf, by axis
 ) -> Float[np.ndarray, " leaves"]:
-    """Return upper bounds of (cost-to-go - f) in each leaf from paths along centers of voxels, or ``inf``."""
+    """Return an upper bound of (cost-to-go - leaf function) in each leaf, from paths along the centers of voxels.
+
+    ``cells`` are the leaves, and ``coefficients`` the values of each leaf function at the corners of its leaf. The
+    bound is ``inf`` if the leaf overlaps a free voxel without a path to a goal. All bounds are ``inf`` if the space
+    has a radius, more than 2**24 voxels, or not three axes.
+    """
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
     # Let p be c clipped to the leaf's box. Along each axis, p lies between c and x: |x - p| <= |x - c| <= side / 2.
     # Also, |x - p| <= width of the leaf, as both are in the leaf. So

@@ -1,7 +1,8 @@
 """Finite elements of degree 1 or 2 that are continuous across faces between cells that are not blocked.
 
-A node on a face of a larger cell that has no node there *hangs*: it takes the value of the larger cell's polynomial.
-The other nodes are degrees of freedom. Bernstein coefficients of the gradient (control vectors) enclose the gradient.
+A node *hangs* if it lies on a face of a larger cell, but is no node of that cell: its value is then the value of the
+larger cell's polynomial. The other nodes are the degrees of freedom. In a cell, the gradient lies in the convex hull
+of its Bernstein coefficients, the *control vectors*.
 
     o-----o--o--o
     |     |  |  |       Degree 1: the node h on the face of the larger cell hangs, with half the sum of the values at
@@ -31,7 +32,10 @@ _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1
 
 @dataclass(frozen=True, eq=False)
 class FunctionSpace:
-    """A finite-element space: polynomials of degree 1 or 2 in each mesh cell, continuous between unblocked cells."""
+    """A finite-element space: polynomials of degree 1 or 2 along each axis in each cell of a mesh.
+
+    The functions are continuous across faces between cells that are not blocked.
+    """
 
     mesh: Mesh
     degree: int
@@ -41,14 +45,17 @@ class FunctionSpace:
     node_of: Int[np.ndarray, " dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
 
     def interpolation(self, cell: Int[np.ndarray, " n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Return the matrix from degrees of freedom to values at points of cells; ``t`` is from 0 to 1 in a cell."""
+        """Return the sparse matrix that maps degrees of freedom to values at points, one row for each point.
+
+        Point ``i`` has the local coordinates ``t[i]``, from 0 to 1, in cell ``cell[i]``.
+        """
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, " dim"]) -> list[csr_array]:
         """Return, for each axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative.
 
-        The derivative along an axis is divided by the axis's ``scale``. Rows are the control points of the first open
-        cell (a cell that is not blocked), then those of the second open cell, and so on.
+        The derivative along an axis is divided by the axis's ``scale``. The matrix has one row for each control point
+        of each open cell (a cell that is not blocked), cell by cell.
         """
         # 1. The values at the nodes of open cells, and the widths of these cells.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
@@ -85,7 +92,10 @@ class FunctionSpace:
 
 
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
-    """Evaluate a cell's Lagrange basis functions, of degree 1 or 2, at points with coordinates ``t`` from 0 to 1."""
+    """Evaluate the Lagrange basis functions of a cell, of degree 1 or 2, at points with local coordinates ``t``.
+
+    Local coordinates run from 0 to 1 along each axis of the cell.
+    """
     if degree == 1:
         along = np.stack([1 - t, t], axis=-1)
     else:
@@ -103,7 +113,7 @@ def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
 
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
-    """Build the space of functions of ``degree`` 1 or 2 that are continuous between the unblocked cells of a mesh."""
+    """Build the finite-element space of ``degree`` 1 or 2 on a mesh (see :class:`FunctionSpace`)."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Across each open face, find nodes that are one with a node of the other cell (`same`), and nodes that hang on

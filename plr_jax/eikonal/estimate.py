@@ -1,9 +1,9 @@
 """An estimate of the cost-to-go on a regular grid, interpolated between its nodes.
 
-If motions cost the same in every direction, a front marches over the grid from all goals (``march.py``). If costs
-depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns), the estimate is
-the cost of shortest paths over edges of up to three grid steps along an axis, up to a few percent too long. Walls
-move to the nearest nodes.
+If motions cost the same in every direction, fast marching computes the estimate (``march.py``). Otherwise, the
+estimate is the cost of shortest paths along edges between nodes: if costs depend on the direction, or are sums of
+norms of several groups of axes, as for a body that turns. Edges are up to three grid steps long along an axis, so
+these costs are up to a few percent too high. Walls are moved to the nearest nodes.
 """
 
 from dataclasses import dataclass
@@ -86,7 +86,10 @@ class GridEstimate:
         return tuple(np.clip(place, 0, shape - 1).T)
 
     def reach(self, domain: Box) -> Reach:
-        """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
+        """Return tests whether a box within ``domain`` holds nodes with a path to a goal, and open nodes without one.
+
+        A node is open if paths may pass it. A node next to a node with a path counts as a node with a path.
+        """
         is_reached = np.isfinite(self.cost if self.closed_cost is None else np.minimum(self.cost, self.closed_cost))
         # Points beside a node that reaches a goal may have a value.
         mode: Any = ["wrap" if wraps else "nearest" for wraps in self.space.domain.periodic]
@@ -94,7 +97,10 @@ class GridEstimate:
         return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
     def which(self, x: Points) -> Int[np.ndarray, " n"]:
-        """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
+        """Return the index of the goal to which each point's shortest path leads.
+
+        A point without a path gets the goal of the nearest node that has a path.
+        """
         goal = self.node_goal[self._nodes(x)]
         # Less than a grid step from the nearest goal, that goal counts if the straight motion there is free.
         distance, nearest = nearest_goals(self.goals, self.space.domain, self.space.motion_cost, x)
@@ -106,7 +112,7 @@ class GridEstimate:
         return goal
 
     def which_reached(self, x: Points) -> Int[np.ndarray, " n"]:
-        """Return the goals' indices like :meth:`which`, but -1 at points where the estimate is ``inf``."""
+        """Return the indices that :meth:`which` returns, but -1 at points where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
     @cached_property
@@ -147,7 +153,10 @@ def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> b
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:  # goals must differ
-    """Estimate the cost-to-go on a grid of at least 16 nodes for each of the ``num_leaves`` pieces of a later PLR."""
+    """Estimate the cost-to-go on a regular grid that is fine enough to fit a PLR of ``num_leaves`` leaves.
+
+    The grid has at least 16 nodes per leaf, unless this exceeds the largest allowed number of nodes.
+    """
     # 1. The nodes: centers of grid cells, or of voxels that stand for groups of voxels.
     domain, motion_cost, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion_cost.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
@@ -251,11 +260,16 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Choose a regular grid of about ``num_nodes`` nodes or more: return its box and its cells' number on each axis.
+    """Choose a regular grid of about ``num_nodes`` nodes or more; return its box and its number of cells per axis.
 
-    Nodes are the cells' centers. Voxels of the space, or cells of a raster cost map, are divided into an odd number
-    of grid cells along each axis, or if these are too many, joined to groups of an odd number. Else the outermost
-    nodes lie on the domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
+    Nodes are the centers of grid cells. The grid follows the voxels of the space, or else the cells of a raster of
+    costs: each voxel or raster cell is divided into an odd number of grid cells along each axis. If there are too
+    many voxels or raster cells, each grid cell instead joins an odd number of them along each axis. ``is_isotropic``
+    says whether motions cost the same in every direction.
+
+    If there are neither voxels nor raster cells to follow, the outermost nodes lie on the faces of the domain. The
+    grid step is then a round decimal if that fits, since walls often have round coordinates. A raster is not followed
+    if it has another domain than the space, or if its costs are interpolated in the plane.
     """
     domain = space.domain
     most = _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES
@@ -301,7 +315,11 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return the states of grid cells, which centers paths may pass, and which of these centers lie on no wall."""
+    """Return three values for each grid cell: its state, whether its node is open, and whether its node is clear.
+
+    The node is the center of the cell. A node is *open* if paths on the grid may pass it, and *clear* if it is open
+    and lies on no wall.
+    """
     domain = space.domain
 
     def classified(lo, hi):
@@ -340,9 +358,10 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> bool:
-    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall.
+    """For each pair of neighbor nodes of the grid that a wall separates, close the node nearer to the wall.
 
-    ``is_open`` is modified in place. Return whether any node was closed.
+    A node is closed if paths may not pass it: its entry in ``is_open`` becomes False, in place. Return whether any
+    node was closed.
     """
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
@@ -374,8 +393,11 @@ def _stencil_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return costs of shortest paths from nodes to goals, and the goals' indices; -1 without a path."""
-    # Edges are a few steps long, and change the coordinates of one group of axes, such as those of the position.
+    """Return the cost of each node's shortest path to a goal along edges between nodes, and the goal's index.
+
+    Edges are up to three grid steps long along an axis. If there is no path, the cost is ``inf`` and the index is -1.
+    """
+    # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs

@@ -21,10 +21,11 @@ _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 def nearest_goals(
     goals: Goals, domain: Box, motion_cost: MotionCost, x: Points, count: int = 1
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
-    """Return distances from each point to its ``count`` nearest goals, nearest first, and these goals' indices.
+    """Return distances from each point to its ``count`` nearest goals, nearest first, and the indices of these goals.
 
     Distances are Euclidean, with each axis scaled by its cost per unit of length; so they are lower bounds of the
-    motion cost. If there are fewer goals, the other distances are ``inf``, and the other indices the number of goals.
+    motion cost. If there are fewer than ``count`` goals, the remaining distances are ``inf``, and the remaining
+    indices are the number of goals.
     """
     scale = motion_cost.scale
     if len(goals) == 1:
@@ -52,8 +53,8 @@ def carried_goals(
 ) -> GoalIndex:
     """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 
-    ``cost`` is the cost-to-go of each node, ``known_goal`` the goal's index where it is known and else -1, and
-    ``side`` the grid step along each axis.
+    ``cost`` is the cost-to-go of each node. ``known_goal`` is the result for nodes where it is already known, and -1
+    for other nodes. ``side`` is the grid step along each axis.
     """
     # 1. Nodes by ascending cost: `rank` is a node's place in this order. A path divides among the cheapest neighbors
     #    along each axis, by weights: the fall of the cost over the squared step. So it leads to smaller ranks.
@@ -95,7 +96,7 @@ def carried_goals(
     decoded = read & ((1 << bits) - 1)
     is_code = (decoded < num_goals) & (code[np.minimum(decoded, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
     # 3. Elsewhere take the goal of the neighbor with the largest weight. Pointer doubling follows these neighbors to
-    #    nodes whose bits are those of a goal, or that have no neighbor.
+    #    nodes whose bits are the code of a goal, or that have no neighbor.
     best = neighbor[weights.argmax(axis=0), np.arange(len(order))]
     ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
     while (ahead != ahead[ahead]).any():

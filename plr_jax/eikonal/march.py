@@ -1,4 +1,4 @@
-"""Fast marching over a regular grid by scikit-fmm, from the costs of straight motions to the goals.
+"""Fast marching over a regular grid by scikit-fmm. Near the goals, nodes have the costs of straight motions.
 
 Richardson extrapolation removes the error that is proportional to the grid step, where costs and walls permit.
 Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner. Reference: Sethian, "A
@@ -33,7 +33,10 @@ def balls(
     radius: float,  # of the balls around goals
     side: Sides,  # grid step along each axis
 ) -> tuple[Costs, float]:
-    """Return costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which marching starts."""
+    """Return the costs-to-go of grid nodes near goals, and the cost at which fast marching starts.
+
+    The costs-to-go are costs of straight motions to a goal; nodes farther away have ``inf``.
+    """
     # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
     #    nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes
     #    below that cost, and the cheapest node of each goal, get the cost of their straight motion.
@@ -56,7 +59,12 @@ def balls(
 def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
-    """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
+    """Return the costs-to-go of grid nodes, by fast marching from the nodes where ``start`` is at most ``level``.
+
+    ``start`` is the known cost-to-go of each node, ``inf`` where unknown. ``is_open`` marks the nodes that paths may
+    pass. ``slowness`` is the cost per unit of length at each node, and ``side`` the grid step along each axis. Nodes
+    that cannot be reached have the cost ``inf``.
+    """
     # 1. The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
     is_core = start <= level
     reached, inverse_square = start.copy(), np.zeros(is_open.shape)
@@ -93,11 +101,13 @@ def marched(
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether the coarse grid of every second node shows the same walls, and no jumps of the costs ``factor``.
+    """Return whether the coarse grid of every second node has the same walls as the grid, and no jumps of the costs.
 
-    It must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are neighbors
-    along an axis. If both are open, the node between them must be open too, and their costs must not jump. If one
-    is closed, the other must be closed or lie on a wall: ``is_clear`` marks the open nodes that lie on no wall.
+    The grid must have an odd number of nodes along each axis, else the result is False. ``is_open`` marks the nodes
+    that paths may pass; the other nodes are closed. Consider two nodes of the coarse grid that are neighbors along an
+    axis. If both are open, the node between them must be open too, and the costs ``factor`` of the two must be
+    similar. If one of the two is closed, the other must be closed or lie on a wall. ``is_clear`` marks the open nodes
+    that lie on no wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False

@@ -74,7 +74,10 @@ class Mesh:
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
-        """Nodes, as fractions of the domain, and for each cell the indices of its corners among them."""
+        """The nodes, as fractions of the domain, and the indices of the nodes at the corners of each cell.
+
+        Nodes are the distinct corners of all cells.
+        """
         # Each axis has as many slots as the finest cells fill. A cell is 2**size slots wide, so its corners lie at
         # whole places from 0 to `slots`, in units of a slot; the last place of a periodic axis is its first one. The
         # places of all axes, packed into one integer, are the key of a node.
@@ -115,12 +118,18 @@ class Mesh:
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
-        """Convert fractions of the domain to local coordinates; along periodic axes, of the nearest image."""
+        """Convert fractions of the domain to local coordinates of cells.
+
+        Along periodic axes, use the image of the point that is nearest to the cell.
+        """
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """Return the index of each point's cell: on a face the upper cell, outside the domain the nearest cell."""
+        """Return the index of the cell that contains each point.
+
+        A point on a face between two cells gets the upper cell, a point outside of the domain the nearest cell.
+        """
         # Descend from the root, all points at once, one step for each level of the tree. Along the axis of a node,
         # one bit of the point's slot tells the half; the upper child follows the lower one.
         last = (1 << self._finest) - 1
@@ -155,9 +164,9 @@ class Mesh:
         """Return the boxes (faces, edges or corners) that pairs of touching cells share.
 
         Returns:
-            The lower and the upper corner of each box, in fractions of the domain, where it lies in ``cell``; and the
-            shift, in periods along each axis, that moves it into ``other``. Cells that touch across the seam of a
-            periodic axis are apart in the domain:
+            The lower and the upper corner of each box as a part of ``cell``, in fractions of the domain. Also the
+            shift, in periods along each axis, that moves the box into ``other``. The shift is not 0 if the cells
+            touch across the seam of a periodic axis:
 
                 0                       1
                 | other |  ...   | cell |         shift -1: the box at 1, in `cell`, is at 0 in `other`
@@ -180,7 +189,10 @@ class Mesh:
         return mesh
 
     def refined(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
-        """Return the mesh with the ``chosen`` cells halved, in this order, while at most ``room`` cells are added."""
+        """Return a mesh in which the cells with the indices ``chosen`` are halved along one or more axes.
+
+        Cells are halved in the given order, as long as this adds at most ``room`` cells in all.
+        """
         # Batches are so small that they add at most `room` cells even if each cell is halved along all axes. Cells
         # that are halved along fewer axes leave room for another batch.
         children, columns, num = [], [], 0
@@ -199,7 +211,10 @@ class Mesh:
         return _mesh(self.domain, self.cells[is_kept].append(*children), state, is_flush)
 
     def _halved(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        """Halve cells along one or more axes; return the new cells, their states, and whether they are flush."""
+        """Halve the cells with the indices ``chosen`` along one or more axes.
+
+        Return the new cells, their states, and whether they are flush (see the class).
+        """
         #   +---+---+    The parts of a cell that is halved along all axes have the numbers of `corner_bits`: one bit
         #   | 1 | 3 |    for each axis, the highest for the first axis (here to the right). If only the first axis is
         #   +---+---+    halved, parts 0 and 1 join, and parts 2 and 3: their numbers are equal in the bits of halved
@@ -289,10 +304,11 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Return a mesh in which blocked cells count as mixed if open cells beside them touch only in an edge or corner.
+    """Return a mesh in which some blocked cells count as mixed, so that paths may begin where open cells just touch.
 
-    Open cells are cells that are not blocked. A path that begins on such an edge or corner may go into any of the
-    open cells around it, and a path may pass through it if the space lets robots squeeze between obstacles.
+    Open cells are cells that are not blocked. If open cells touch only in an edge or a corner, a path that begins
+    there may go into any of these cells. If the space lets robots squeeze between obstacles, a path may also pass
+    through the edge or corner. So the blocked cells around such an edge or corner count as mixed.
     """
     #   +---+---+    A blocked flush cell A, seen along an edge (*) that it shares with an open cell B. The four cells
     #   | A | B |    around the edge are found at a small distance from it, the `inset`. If A and C are blocked but B

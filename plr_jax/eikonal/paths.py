@@ -1,9 +1,10 @@
 """Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
-Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then, as in "Theta*:
-any-angle path planning on grids" (Nash, Daniel, Koenig, Felner 2007), a node skips the next node of its path, or
-takes the next node of a neighbor's path, if the straight motion there stays in free cells and costs less. If a goal's
-cell is not free, motions that the space proves free join the goal to nodes near it.
+Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then paths are
+straightened: a path skips a node, or continues at the next node of a neighbor's path. Such a change requires that the
+new straight motion stays in free cells, and that the path becomes cheaper. If a goal's cell is not free, motions that
+the space proves free join the goal to nearby nodes. Reference: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path
+planning on grids", 2007.
 """
 
 from collections.abc import Iterator
@@ -46,7 +47,7 @@ class NodePaths:
 
     @property
     def ends(self) -> Nodes:
-        """The goal at the end of each node's path, as a row of ``points``; the first goal if a node has no path."""
+        """The index in ``points`` of the goal at the end of each node's path; the first goal if there is no path."""
         ends = self.next
         while (ends != ends[ends]).any():
             ends = ends[ends]
@@ -121,7 +122,10 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges_to(self, goal: int, space: ConfigurationSpace) -> Edges:
-        """Return the edges from near nodes to a goal whose cell is not free; the space proves that they are free."""
+        """Return edges from nearby nodes (corners of cells) to a goal whose cell is not free.
+
+        The ``space`` proves that the motion along each edge is free. ``goal`` is the goal's index in ``points``.
+        """
         num, motion_cost, cost_map = len(self.mesh.nodes), self.costs.motion_cost, self.costs.cost_map
         change = self._changes(np.arange(num), np.full(num, goal))
         most = max(_MOST_NEAR_GOALS // len(self.goals), _LEAST_NEAR_GOAL)
@@ -166,8 +170,8 @@ class _FreeGraph:
         by_cell = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
         owner, hanging = np.divmod(by_cell, len(self.points))
 
-        # 2. List the nodes of all cells: `num` corners for each cell, then the hanging nodes of each cell. Those of
-        #    cell c have the places from `first_hanging[c]` up to `first_hanging[c + 1]`.
+        # 2. List the nodes of all cells: `num` corners for each cell, then the hanging nodes of each cell. The
+        #    hanging nodes of cell c have the places from `first_hanging[c]` up to `first_hanging[c + 1]`.
         num = mesh.corners.shape[1]
         nodes_of_cells = np.append(mesh.corners, hanging)
         first_hanging = mesh.corners.size + np.searchsorted(owner, np.arange(len(mesh.state) + 1))
@@ -195,7 +199,10 @@ class _FreeGraph:
             yield begin[order].astype(np.int32), end[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
-        """Return the second node of each node's shortest path to a goal, and the cost of the edge to it."""
+        """Return, for each node, the next node on its shortest path to a goal, and the cost of the edge between them.
+
+        A goal's next node is the goal itself. Without a path, the next node is the first goal, and the cost ``inf``.
+        """
         num = len(self.points)
         # An edge from a to b is in column a and row b: it is reversed, as Dijkstra's algorithm starts at the goals.
         # So a node's predecessor is the next node of its path.
@@ -223,9 +230,13 @@ class _FreeGraph:
         return self.costs.motion_cost.norm(self._changes(begin, end)) * self.costs.least_rate
 
     def upper_bounds(self, begin: Nodes, end: Nodes) -> EdgeCosts:
-        """Return upper bounds of the costs of straight motions; ``inf`` for a motion that leaves the free cells."""
+        """Return upper bounds of the costs of straight motions from nodes ``begin`` to nodes ``end``.
+
+        The bound is ``inf`` for a motion that leaves the free cells.
+        """
         # Walk from cell to cell. A motion takes the time t from 0 to 1; `velocity` is its change per unit of time, in
-        # fractions of the domain. At t, its cell is that at t + ahead, so that at a face the cell it enters counts.
+        # fractions of the domain. Its cell at t is the cell of its place at t + ahead: at a face, the cell that it
+        # enters counts.
         #     within   local coordinates in this cell at t + ahead
         #     speed    their change per unit of time
         #     to_face  time from t + ahead to the cell's face, for each axis

@@ -1,12 +1,18 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
-A function is a lower bound if it is at most 0 at the goals, continuous across every face that is not proven blocked,
-and along every motion rises by no more than the motion costs. The alternating direction method of multipliers
-maximizes the function's integral; the multipliers are a flow along cheapest paths. At last the values are rescaled
-until they satisfy the constraints, rounding included. So the bound is proven after any number of iterations.
+A function is a lower bound under three conditions:
 
-:class:`CellCosts` has the constraints, and :class:`SlopeSets` the same as sets of gradients. :class:`SlopeProgram` is
-the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system of each of its steps.
+- The function is at most 0 at the goals.
+- The function is continuous across every face that is not proven blocked.
+- Along every motion, the function rises by no more than the motion costs.
+
+The alternating direction method of multipliers maximizes the function's integral; the multipliers are a flow along
+cheapest paths. Finally, the values are rescaled so that they satisfy the conditions, rounding included. So the bound
+is proven after any number of iterations.
+
+:class:`CellCosts` bounds the costs of motions, and :class:`SlopeSets` derives the sets in which gradients must lie.
+:class:`SlopeProgram` is the program, :class:`_Splitting` the method, and :class:`_Poisson` the linear system that
+each step of the method solves.
 
 References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
 degenerate elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
@@ -45,9 +51,10 @@ _LEAST_LINEAR_BOUND = 0.5
 class CellCosts:
     """Bounds of the cost of motions in each cell of a mesh; upper bounds hold at all points that round into the cell.
 
-    A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm
-    of ``motion_cost``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without
-    pulls, ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|`` more tightly.
+    A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm of
+    ``motion_cost``, and ``p`` is the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. If
+    ``pulls`` is None, ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|``
+    more tightly.
     """
 
     motion_cost: MotionCost
@@ -74,10 +81,10 @@ class CellCosts:
         return float(np.maximum(self.lower - saved, 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        """Return upper bounds of the costs of motions by vectors ``change``, each in one cell.
+        """Return upper bounds of the costs of straight motions by the vectors ``change``, each within one cell.
 
-        The middles of motions, in local coordinates of the cells (0 to 1), tighten the bounds: the linear bound of
-        the factor has its mean along a motion at the motion's middle.
+        ``middle`` are the midpoints of the motions, in local coordinates of the cells (0 to 1). If given, they
+        tighten the bounds.
         """
         factor = self.upper[cell]
         if middle is not None:
@@ -87,7 +94,10 @@ class CellCosts:
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
-    """Bound the cost of motions in each cell of a mesh, by constants and, without pulls, by linear functions."""
+    """Bound the cost of motions in each cell of a mesh.
+
+    The bounds are constant in each cell and, unless costs depend on the direction, also linear in each cell.
+    """
     # Let x be a position relative to the cell's middle, from -1/2 to 1/2 along each axis, and x_j the middle of part
     # j of the cell, in which lower_j and upper_j bound the factor. Along each axis,
     #   slope = sum over j of x_j * (lower_j + upper_j) / 2 / sum over j of x_j**2,     the least-squares fit.
@@ -134,11 +144,11 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
-    """Return breakpoints and values of a piecewise linear function ``g`` for which ``g(u)`` is nowhere too steep.
+    """Return the breakpoints and the values of a piecewise linear function ``g`` such that ``g(u)`` is not too steep.
 
-    In cell ``i``, the function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
-    ``factor[i]`` times the slope allowed there. So between these values ``g`` has slopes of at most ``1/factor[i]``,
-    and of at most 1 everywhere; ``g(0)`` is 0.
+    In cell ``i``, a function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
+    ``factor[i]`` times the slope allowed there. So ``g`` has slopes of at most ``1 / factor[i]`` between these two
+    values, and of at most 1 everywhere. Also, ``g(0)`` is 0.
     """
     # Between neighbor levels, g has the slope 1 / max(1, factors of all cells whose values include this interval). By
     # the chain rule, the slope of g(u) in a cell is the slope of g times the slope of u, so at most the allowed one.
@@ -158,7 +168,7 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """The convex sets in which Bernstein coefficients of a lower bound's gradient must lie, one for each coefficient.
+    """Convex sets in which the gradient of a lower bound must lie, one for each of its Bernstein coefficients.
 
     A set is a ball if costs are lengths, and a product of balls if costs are sums of norms over groups of axes
     (``blocks``). If costs depend on the direction, a coefficient's negative must lie within ``radius`` of the segment
@@ -170,11 +180,11 @@ class SlopeSets:
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
-        """Return the norm of each vector over each group of axes."""
+        """Return, for each group of axes, the Euclidean norm of each vector (a column of ``g``) over these axes."""
         return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
-        """Return the nearest point to each vector in its set."""
+        """Return, for each vector (a column of ``g``), the nearest point of its convex set."""
         # Shorten the part over each group of axes to the radius. With pulls, shorten the vector from the segment's
         # nearest point instead.
         center = self._nearest_center(g)
@@ -194,10 +204,10 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return a factor ``(controls,)`` by which each vector may be divided so that it lies in its convex set.
+        """Return, for each vector (a column of ``g``), a factor such that vector / factor lies in its convex set.
 
-        A vector whose factor is at most 1 lies in its set already. With pulls, a larger factor may be more than
-        needed; otherwise it is the least.
+        A vector with a factor of at most 1 lies in the set itself. If ``pulls`` (see the class) is None, the factor
+        is the least possible; otherwise, a factor above 1 may be larger than needed.
         """
         # Without pulls, the factor is the largest |g| / radius over groups of axes. With pulls, let d be the distance
         # of g to the segment, and r the radius of a ball around 0 within the set K: `radius` minus the distance of 0
@@ -210,7 +220,10 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """Return the least costs of motions by the vectors ``-flow``, the support functions of the sets."""
+        """Return lower bounds of the costs of motions by the vectors ``-flow``.
+
+        The bounds are the values of the support functions of the convex sets (see the class) at the vectors ``flow``.
+        """
         # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|; of a segment,
         # the larger value at its ends -pulls[0] and -pulls[1]; of a sum of sets, the sum of their support functions.
         of_ball = self.radius * np.sum(self.lengths(flow), axis=0)
@@ -254,9 +267,10 @@ class SlopeProgram:
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
-        """Set up the program on a mesh, whose cells count as blocked if no open faces join them to a goal's cell.
+        """Set up the program on a mesh, with ``goals`` as fractions of the domain.
 
-        ``goals`` are fractions of the domain. Cells of goals are never blocked.
+        Cells that hold goals are never blocked. Cells count as blocked if no chain of faces between unblocked cells
+        joins them to a goal's cell.
         """
         # 1. The mesh, in which only cells that paths may join to a goal are open.
         homes = mesh.locate(goals)
@@ -283,7 +297,10 @@ class SlopeProgram:
         return self.space.mesh.locate(self.at)
 
     def below_goals(self, u: Dofs) -> Dofs:
-        """Shift a function by a constant so that its largest value at a goal is 0."""
+        """Add a constant to a function so that its largest value at a goal is 0.
+
+        ``u`` and the result are the function's values at the degrees of freedom.
+        """
         return u - np.max(self.goal @ u)
 
     @cached_property
@@ -317,8 +334,8 @@ class SlopeProgram:
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         """Estimate the integral of cost-to-go minus lower bound, as a sum of a loss for each unblocked cell.
 
-        A cell's loss is its volume times ``max(cost - rise, 0)``: the cost of the iterate's flow, and the rise of the
-        lower bound along this flow. The rise counts as 0 in cells that are not proven free.
+        A cell's loss is its volume times ``max(cost - rise, 0)``. Here, ``cost`` is the cost of the iterate's flow in
+        the cell. ``rise`` is the rise of the lower bound along this flow; it is 0 if the cell is not proven free.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -360,7 +377,10 @@ class SlopeProgram:
         return splitting.iterate
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
-        """Return the iterate with the best proven bound, and whether the bound stopped rising before the limit."""
+        """Iterate until the proven bound stops rising, or ``most_iterations`` times.
+
+        Return the iterate with the best proven bound, and whether the bound stopped rising.
+        """
         splitting = _Splitting(self, start, _LEAST_PENALTY_AT_LAST)
         best, highest, improved_at = start, 0.0, 0
         for iteration in range(most_iterations):
@@ -379,17 +399,18 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
-    It maximizes the integral ``load . u`` over degrees of freedom ``u`` whose gradients ``G u`` lie in convex sets.
-    The vectors ``z`` in these sets approach ``G u``, and ``y`` are scaled multipliers: the flow is ``penalty * y``.
-    With the over-relaxation ``a``, a step is::
+    The method maximizes the integral ``load . u`` over degrees of freedom ``u``. The gradients ``G u`` must lie in
+    convex sets. The vectors ``z`` in these sets approach ``G u``, and ``y`` are scaled multipliers: the flow is
+    ``penalty * y``. With the over-relaxation ``a``, a step is::
 
         u = argmin  sum(volume * penalty * |G u - z + y|**2) / 2 - load . u      (a Poisson equation)
         v = a * G u + (1 - a) * z + y
         z = the vectors of the sets that are nearest to v
         y = v - z
 
-    With one goal, ``load . u`` is the integral of ``u - u(goal)``. With several goals, values at goals must be at
-    most 0: they have projections and multipliers too, with the penalty ``stiffness``.
+    With one goal, ``load . u`` is the integral of ``u - u(goal)``. With several goals, ``load . u`` is the integral
+    of ``u``, and the values of ``u`` at goals must be at most 0. These values then have vectors ``z`` and ``y`` of
+    their own, with the penalty ``stiffness``.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
@@ -407,7 +428,7 @@ class _Splitting:
             inflow = inflow if len(inflow) == 1 else system.stiffness * (program.goal @ potential)
         # 3. Penalties of |flow| / radius make multipliers as long as gradients may be; where little flows, penalties
         #    are larger.
-        norm = program.sets.costs(flow) / radius  # |flow|, but for pulls
+        norm = program.sets.costs(flow) / radius  # equals |flow| if there are no pulls
         positive = norm[norm > 0]
         self._penalty = np.maximum(norm, least_penalty * np.median(positive) if positive.size else 1.0) / radius
         stiffness = np.maximum(inflow, _LEAST_INFLOW * inflow.mean()) / across
@@ -434,7 +455,10 @@ class _Splitting:
 
 
 class _Poisson:
-    """The linear system, a Poisson equation, of each iteration of :class:`_Splitting`, with its factored matrix."""
+    """The linear system (a Poisson equation) of each iteration of :class:`_Splitting`, with its factored matrix.
+
+    Large systems in more than two dimensions have a multigrid preconditioner instead.
+    """
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, " goals"]):
         # Minimize sum(volume * penalty * |G u - field|**2) / 2 + sum(stiffness * (u at goals - at_goals)**2) / 2

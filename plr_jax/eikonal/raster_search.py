@@ -1,10 +1,10 @@
-"""Cost distance over a raster: a search for shortest paths, proven lower bounds, and a march over large rasters.
+"""Cost distance over a raster: a search for shortest paths, proven lower bounds, and fast marching for large rasters.
 
 Dijkstra's algorithm finds shortest paths over straight edges, up to four cells long, between centers and corners of
-cells, with exact costs for costs that are constant in each cell. With heights, edges join centers alone and are up to
-six cells long.
+cells. Costs of edges are exact for a cost per length that is constant in each cell. With heights, edges join only
+centers, and are up to six cells long.
 
-References: Mitchell and Papadimitriou, "The weighted region problem", 1991. For the march see ``march.py``.
+References: Mitchell and Papadimitriou, "The weighted region problem", 1991; for fast marching see ``march.py``.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,10 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 
 @dataclass(frozen=True)
 class PathTree:
-    """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest of given points."""
+    """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest source.
+
+    Sources are given points. Coordinates are relative to the raster's lower corner.
+    """
 
     # For each node the next one of its path, negative without a path. Nodes are corners of parts row by row (none
     # with heights), then centers of parts row by row, then sources.
@@ -66,7 +69,10 @@ class PathTree:
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the vertices of the path from a cell's center: both ends and all turns; none without a path."""
+        """Return the vertices of the path from the center of a cell: both ends, and the points where the path turns.
+
+        ``center`` is relative to the raster's lower corner. If there is no path, the result has no vertices.
+        """
         rows, columns = self.shape
         first_source = len(self.next_node) - len(self.ends)
         num_corners = first_source - rows * columns
@@ -94,10 +100,11 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Search on ``parts`` of cells; return tables of whole cells, and the paths.
+    """Divide each cell into ``parts[0]`` rows and ``parts[1]`` columns of parts, and search for paths from all parts.
 
-    The tables are costs of paths, indices of sources and, with ``bounds``, lower and upper bounds, each from the
-    middle part of a cell.
+    Paths lead to the nearest of the sources ``points``. Return a list of rasters with one entry per cell, that of the
+    cell's middle part, and the paths. The rasters are the costs of paths, the indices of the sources that paths lead
+    to and, if ``bounds``, lower and upper bounds of the least cost. ``side`` is the width and height of a cell.
     """
     fine = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1)
     part_side = side / parts[::-1]
@@ -112,9 +119,10 @@ def search_finely(
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
     """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
 
-    A function is a lower bound if it is at most 0 at the sources and nowhere steeper than the cost of the cell. The
-    costs of known paths from centers and corners, linear in the four triangles around each center, are made less
-    steep by repeated projections, and at last rescaled to be such a function.
+    A function is a lower bound if it is at most 0 at the sources, and nowhere steeper than the ``cost`` per length of
+    the cell. Begin with the costs of known paths, ``at_centers`` and ``at_corners`` of cells, interpolated linearly
+    in the four triangles around each center. Repeated projections make this function less steep, and a final
+    rescaling makes it a lower bound.
     """
     #   3-------2    1. The triangles of a cell, one at each side. Triangle k has the side from corner k to the next
     #   | \ 2 / |       corner, along an axis, and the center m. The corners k of all cells are the part places[k] of
@@ -155,8 +163,8 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     factor = (1 + _ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
     around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
-    # 4. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
-    #    there.
+    # 4. Subtract the largest value that a source may have: the value of its cell's center, plus the cost of the
+    #    motion to the center.
     home = cells_of(points, side, cost.shape)
     to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
     home = tuple(home.T)
@@ -166,12 +174,19 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
 
 
 def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
-    """Return the row and column of the raster cell of each point, given relative to the raster's lower corner."""
+    """Return the row and column of the raster cell of each point.
+
+    ``points`` are relative to the raster's lower corner; ``side`` is the width and height of a cell.
+    """
     return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
-    """Return approximate cost distances of all cells, and the nearest source of each, by fast marching."""
+    """Return approximate cost distances of all cells by fast marching, and the index of each cell's nearest source.
+
+    The sources are ``points``; ``side`` is the width and height of a cell. Without a path to a source, the distance
+    is ``inf`` and the index -1.
+    """
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(
@@ -196,13 +211,14 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Return the index of the source that steepest descent of the distance reaches from each cell of a raster.
+    """Return, for each raster cell, the index of the source that steepest descent of the ``distance`` reaches.
 
-    ``step`` is the width and height of a cell. ``label`` is the source's index in cells with a source, else -1.
+    ``step`` is the width and height of a cell. ``label`` is the index of the source in cells that hold a source, and
+    -1 in other cells; descent that ends in another cell also gives -1.
     """
     # 1. The next cell of each cell: of the sixteen cells around it (x), the one through which the distance is least.
     #      . x . x .      Eight steps and their opposites. For a step (i, j), `part(values, (0, 0))` are the values of
-    #      x x x x x      all cells from which the step stays in the raster, and `part(values, (i, j))` those of the
+    #      x x x x x      all cells from which the step stays in the raster, `part(values, (i, j))` the values of the
     #      . x o x .      cells to which it leads.
     #      x x x x x
     #      . x . x .
@@ -241,9 +257,13 @@ def search(
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
     """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
-    ``side`` is the width and height of a cell. With heights, costs are multiplied by ``slope_fn`` of the slope of a
-    motion toward the sources, or away from them if ``from_sources``. Return the paths' costs at the centers and at
-    the corners (None with heights) of cells, the indices of the nearest sources, and the paths.
+    ``side`` is the width and height of a cell. If ``height`` is given, the cost of a motion is multiplied by
+    ``slope_fn(slope)``: the slope (rise over run) of the motion toward the sources, or if ``from_sources`` away from
+    the sources.
+
+    Returns:
+        The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
+        heights); the index of each cell's nearest source (-1 without a path); and the paths.
     """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
@@ -336,7 +356,10 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],  # row and column of each point's cell
     near: Int[np.ndarray, "nodes 2"],  # offsets from the center of that cell, in half cells
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points to nodes in and beside their cells; ``inf`` through barriers."""
+    """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
+
+    Nodes are centers and corners of cells. A motion through a barrier costs ``inf``.
+    """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `leaves` are the shares of
     #      |       | . end |        the motion at which it leaves the row and the column; 1 if it does not. The first
@@ -363,10 +386,11 @@ def _straight_costs(
 def _mean_factor(
     i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope, from_sources: bool
 ) -> np.ndarray:
-    """Return the mean factors of motions by ``(i, j)`` cells, from all cells if ``from_sources``, else back to them.
+    """Return, for each cell, the mean of ``slope_fn`` along the motion between it and the cell at offset ``(i, j)``.
 
-    A motion is cut into as many equal parts as it has cells along its longer axis. Each part has the factor of its
-    slope.
+    The motion leads to the cell at the offset if ``from_sources``, else from there back. The motion is cut into
+    ``max(abs(i), abs(j))`` equal parts, and ``slope_fn`` is called with the slope of each part. ``length`` is the
+    motion's length; ``height_at`` returns the heights at an offset from all cells.
     """
     # At the ends of parts, the place along the longer axis is whole. Along the other axis it is between two cells, i0
     # or j0 and the next one: interpolate their heights.
@@ -384,11 +408,11 @@ def _mean_factor(
 
 
 def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
-    """Return the mean costs along straight motions from many cells, ``inf`` where barriers stop the motion.
+    """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
 
-    Each motion goes by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell
-    (``half`` is 1) or in the cell's lower corner (``half`` is 0). For an offset in rows and columns, ``cost_at``
-    returns the costs of the cells that lie at this offset from the cells where motions begin.
+    Each motion goes by ``i`` half cells across rows and by ``j`` half cells across columns. All motions begin in the
+    center of a cell (``half`` is 1) or in its lower corner (``half`` is 0). For an offset in rows and columns,
+    ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin.
     """
     # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which goes from
     #    `half` to `half + change` in half cells, is even. The middle of each piece, in cells, tells its cell.

@@ -20,24 +20,29 @@ _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray t
 
 
 def tobler(slope: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Return a hiker's seconds per horizontal meter at slopes, rise over run (Tobler, NCGIA report 93-1, 1993)."""
+    """Return the seconds that a hiker takes per horizontal meter at slopes (rise over run).
+
+    Reference: Tobler, NCGIA report 93-1, 1993.
+    """
     return 0.6 * np.exp(3.5 * np.abs(slope + 0.05))
 
 
 @dataclass(frozen=True, eq=False)
 class CostDistance:
-    """A result of :func:`cost_distance`; arrays have the shape of the raster, and its coordinates if it has some.
+    """A result of :func:`cost_distance`. Arrays have the shape of the raster; they are DataArrays if ``costs`` was.
 
     Attributes:
-        distance: Cost distance to the nearest source; ``inf`` where no source can be reached.
-        nearest: Index of the nearest source, or of one at most about 1 % farther; -1, which is the no-data value of
-            a ``DataArray``, where none can be reached.
+        distance: Cost distance from the center of each cell to the nearest source; ``inf`` where no source can be
+            reached.
+        nearest: Index of the nearest source, or of a source at most about 1 % farther away. The index is -1 where no
+            source can be reached; -1 is the no-data value if this is a ``DataArray``.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
-            ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the mean distance apart. They
-            may be up to 100 % of the distance apart near sources, and if costs of neighbors differ by a factor of 100
-            or more.
+            ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 2 to 4 % of the mean
+            distance. The difference may be up to 100 % of the distance near sources, and if costs of neighbors differ
+            by a factor of 100 or more.
         plr: A PLR of the distance, without bounds; None if not asked for. Its values in barriers are finite. In other
-            cells from which no source can be reached it answers ``inf``, except near cells that reach a source.
+            cells from which no source can be reached, its values are ``inf``, except near cells with a path to a
+            source.
     """
 
     distance: Any
@@ -52,13 +57,13 @@ class CostDistance:
         """Return the least-cost path from the cell of a point ``(x, y)`` to its nearest source.
 
         Returns:
-            Vertices of the path, ``(n, 2)``, from the center of the cell to the source, also if costs are
-            ``from_sources``. With heights, the path ends at the center of the source's cell. One vertex if both ends
-            are equal, none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
+            Vertices of the path, ``(n, 2)``, from the center of the cell to the source, even if ``from_sources`` was
+            set. With heights, the path ends at the center of the source's cell. If both ends are equal, there is one
+            vertex; if the distance is ``inf``, there is none. The path's cost is the ``distance`` in the cell.
 
         Raises:
-            ValueError: If the point is outside the raster, or there are no paths, as over more than 2 million cells
-                (see :func:`cost_distance`).
+            ValueError: If the point is outside the raster, or the result has no paths because the raster has more
+                than 2 million cells (see :func:`cost_distance`).
         """
         if self._tree is None or self._box is None:
             raise ValueError(
@@ -89,35 +94,39 @@ def cost_distance(
         result = plr_jax.cost_distance(costs, [(300, 900), (1_900, 400)], cell_size=30)
         result.distance, result.nearest, result.path((500, 100))
 
-    Distances are costs of paths. In our experiments, without heights, errors are on average 0.03 to 0.2 % of the mean
-    distance, the largest is 2.2 %. With heights, distances differ from those of three times finer rasters by 0.6 % on
-    average. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells, without bounds and
-    heights, a front marches instead, in about 110 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on
-    average where costs change slowly, 0.5 to 7 % where they jump. A cell much longer than wide counts as several
-    cells, as the search divides it into parts that are about square.
+    Distances are costs of paths. In our experiments without heights, errors are on average 0.03 to 0.2 % of the mean
+    distance, and the largest error is 2.2 %. With heights, distances differ from distances on three times finer
+    rasters by 0.6 % on average.
+
+    The search for paths takes kilobytes of memory a cell. So for rasters of more than 2 million cells, fast marching
+    replaces the search, unless bounds or heights are given. Fast marching takes about 110 bytes a cell. The errors of
+    fast marching are 0.1 to 0.3 % on average where costs change slowly, and 0.5 to 7 % where costs jump. A cell that
+    is much longer than wide counts as several cells, as the search divides the cell into parts that are about square.
 
     Args:
-        costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
+        costs: Positive costs per unit of length, ``(rows, columns)``: an array, a masked array or an xarray
             ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With
             heights, costs are factors without a unit. NaN, ``inf``, masked cells and a ``DataArray``'s no-data value
             are barriers. No path passes between two barriers that touch in a corner.
-        sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape, whose cells are numbered
-            as by ``np.argwhere(mask)``. Points of a ``DataArray`` have its coordinates. In an array, row 0 has the
-            lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to ``i + 1``, times
-            ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
-        cell_size: Side of a cell, or both ``(x, y)``; for arrays only.
-        heights: Height of each cell, in the unit of ``cell_size``, for directed costs; barriers like those of costs.
+        sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape. Sources of a mask are
+            numbered as by ``np.argwhere(mask)``. If ``costs`` is a ``DataArray``, points are in its coordinates. In
+            an array, row 0 has the lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to
+            ``i + 1``, times ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
+        cell_size: Side of a cell, or both sides ``(x, y)``; for arrays only.
+        heights: Height of each cell, in the unit of ``cell_size``. With heights, costs depend on the direction of
+            travel. Cells without a finite height are barriers.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
-            arrays, or ``"tobler"``, a hiker's seconds per horizontal meter.
+            arrays, or ``"tobler"``, the seconds that a hiker takes per horizontal meter.
         from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
-        bounds: Whether to prove bounds, for costs that are constant in each cell; 3 to 5 CPU s for 160,000 cells.
-        max_bytes: If given, the result has a PLR of at most so many bytes.
+        bounds: Whether to prove bounds, for costs that are constant in each cell; takes 3 to 5 seconds of CPU time
+            for 160,000 cells.
+        max_bytes: If given, the result has a PLR of at most this many bytes.
 
     Raises:
-        ValueError: If costs or heights are not such a raster, lengths or costs are too large or too small
-            for 64-bit numbers (the message states limits), a source is outside of it or in a barrier, there is no
-            source, an option is out of its range, or ``bounds`` comes with heights or more than 4 million cells.
-            If a front marches and costs differ by more than a factor of 100,000.
+        ValueError: If costs or heights are not such rasters. If lengths or costs are too large or too small for
+            64-bit numbers (the message states limits). If there is no source, or a source is outside of the raster or
+            in a barrier. If an option is out of its range, or ``bounds`` comes with heights or more than 4 million
+            cells. If fast marching is used and costs differ by more than a factor of 100,000.
     """
     # 1. The raster with the lowest coordinates first, and the sources in it.
     cost, box, flips = _raster(costs, cell_size)
@@ -184,10 +193,10 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers; their box; and ``flips``.
+    """Check ``costs``, and return them in the order of ascending coordinates; the raster's box; and ``flips``.
 
-    ``flips`` are slices that reverse the axes whose coordinates descend: applied once, they sort the cells; applied
-    twice, they restore the given order.
+    Barriers have the cost ``inf``. ``flips`` are one slice per axis, which reverses the axis if its coordinates
+    descend: applied once, they sort the cells; applied twice, they restore the given order.
     """
     # 1. Check the shape of costs, and the size of cells.
     cost = raster_values("costs", costs)
@@ -224,7 +233,10 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
 
 
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
-    """Check the sources, points or a mask, and return points relative to the lower corner of the raster."""
+    """Check the sources, which are points or a mask; return points ``(k, 2)`` relative to the raster's lower corner.
+
+    ``cost`` and ``flips`` are results of :func:`_raster`.
+    """
     # 1. Points: the centers of the mask's cells, in the order of the given raster; or points as given.
     side = box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":

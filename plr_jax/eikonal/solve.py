@@ -1,7 +1,7 @@
 """Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
 
-With bounds, :class:`SlopeSolver` refines a mesh where the lower bound is loose; paths on the last mesh give the upper
-bound. Without bounds, a PLR is fitted to an estimate on a grid.
+If bounds are asked for, :class:`SlopeSolver` refines a mesh where the lower bound is loose, and paths on the finest
+mesh give the upper bound. Otherwise, a PLR is fitted to an estimate on a grid.
 """
 
 import math
@@ -61,63 +61,71 @@ def solve_eikonal(
         plr = plr_jax.solve_eikonal(cost.space(radius=0.3), goal=(5, 1), cost_map=cost, max_bytes=8192)
         plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
-    Here the space is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
-    upper bounds, which hold for every point from which the goal can be reached.
+    In this example, the robot is a ball of radius 0.3, which must keep clear of blocked cells. ``plr(x)`` is an
+    estimate between the lower and the upper bound. The bounds hold for every point from which the goal can be
+    reached.
 
     Args:
-        space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves
-            nothing: a cell counts as free or blocked if all its samples do.
-        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Of several, such as exits, the nearest
-            counts, and ``plr.which(x)`` returns its index.
-        cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
-        max_leaves: Most leaves, and most cells of the mesh on which bounds are computed. More cells give tighter
-            bounds, even if ``max_bytes`` stays equal, and take longer. None, if not certified: as many as
-            ``max_bytes`` allows, else 2,000, or 4,000 in three dimensions. None, if certified: 2,000 on a line,
-            10,000 in the plane, 50,000 in more dimensions.
-        max_bytes: Most bytes of the file. A certified PLR has a leaf for each cell of a mesh, which is refined where
-            bounds are loose. If these leaves take more bytes, it has fewer, larger leaves, with the worst bounds of
-            the cells that each meets.
-        tolerance: For certified PLRs, the estimated mean distance of the lower bound to the truth, in units of cost,
-            at which refinement stops. None: 0, so that all of ``max_leaves`` are used.
+        space: The configuration space, which says what is free and what motions cost. If it can only test single
+            configurations (a :class:`FreeTest`), nothing is proven: a cell then counts as free if all samples in it
+            are free, and as blocked if all are blocked.
+        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Several goals, such as exits, give the
+            cost-to-go to the nearest goal, and ``plr.which(x)`` returns the index of this goal.
+        cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None:
+            the factor is 1 everywhere.
+        max_leaves: Largest number of leaves, and of cells of the mesh on which bounds are computed. More cells give
+            tighter bounds, even if ``max_bytes`` stays equal, and take longer. None, if certified: 2,000 on a line,
+            10,000 in the plane, 50,000 in more dimensions. None, if not certified: as many as ``max_bytes`` allows;
+            without ``max_bytes``, 2,000, or 4,000 in three dimensions.
+        max_bytes: Largest size of the file. A certified PLR has one leaf for each cell of a mesh, which is refined
+            where bounds are loose. If this takes more than ``max_bytes``, the PLR has fewer, larger leaves instead.
+            A larger leaf stores the worst bounds of all cells that it overlaps.
+        tolerance: For certified PLRs: refinement stops when the estimated mean of (cost-to-go - lower bound) is at
+            most this, in units of cost. None: 0, so that refinement goes on to ``max_leaves`` cells.
         certified: Whether to prove bounds. False is for up to three axes.
-        seed: Seed of samples.
+        seed: Seed of the random samples.
 
     Returns:
-        The PLR, of continuous leaves, or of planes if ``certified=False`` and the cost of motions is a sum of norms
-            of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the
-            goal. It may also be finite in obstacles, and at points that cannot reach the goal but are within a 64th
-            of the domain of points that can.
+        The PLR. Its leaves are continuous; they are planes if ``certified=False`` and the cost of motions is a sum of
+            norms of several groups of axes, as for a body that turns. ``plr(x)`` is finite at every point with a path
+            to the goal. ``plr(x)`` may also be finite in obstacles, and at free points without a path that are within
+            1/64 of the domain's width of a point with a path.
 
     Warns:
-        ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
-        UserWarning: If points answer a finite number although they cannot reach the goal and are not within a 64th of
-            the domain of points that can: the message says which share. Or if the lower bound, though proven, was
-            still rising at the last iteration; or if the estimate was more than a tenth outside of its bounds, where
-            the nearer bound replaces it.
+        ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then has the latest
+            solution.
+        UserWarning: If the PLR is finite at free points without a path, farther than 1/64 of the domain's width from
+            all points with a path; the message says which share of space this concerns. Or if the lower bound, though
+            proven, was still rising at the last iteration. Or if the estimate was outside of its bounds by more than
+            a tenth; there the nearer bound replaces the estimate.
 
     Raises:
         ValueError: If an argument is invalid, a goal is not free, or bounds of the cost map are not positive and
-            finite. If ``max_leaves`` or ``max_bytes`` is too small: for one leaf, for four cells along each periodic
-            axis, for cells at most 200,000 times as long as wide, or for samples in all cells not blocked. If
-            ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees a goal. If
-            a directional cost map comes with a space whose costs are no lengths.
+            finite. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees
+            some goal. If a directional cost map comes with a space whose motion costs are not lengths. If
+            ``max_leaves`` or ``max_bytes`` is too small. There must be at least one leaf, and four cells along each
+            periodic axis. No cell may be more than 200,000 times as long as wide. Each leaf that holds free points
+            with a path must have a sample among them.
 
     How bounds are proven:
 
-    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
-      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
-      most 40 % of ``max_bytes``.
+    - The lower bound is the largest function that meets three conditions: it is 0 at the goal (at most 0 at several
+      goals), it is continuous across every face that is not proven blocked, and along every motion it rises by no
+      more than the motion costs. The least cost of straight motions to the goals is a lower bound too, if the file
+      holds the goals: at most 64, in at most 40 % of ``max_bytes``.
     - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
       near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
 
-    ``certified=False`` gives the estimate alone. Up to rounding to 32 bits, it is nowhere below the least cost of
-    straight motions to the goals, or below 0 if the file does not hold the goals. In the plane it takes about a
-    second: scikit-fmm marches over 160,000 nodes, and the mean error is mostly 0.003 to 0.6 %. In volumes, nodes are
-    voxels, or groups of voxels if there are more than 4 million, more than 16 million for a ball with a radius, or
-    more than 2 million if costs depend on the direction. In three made volumes of up to 128 x 128 x 128 voxels the
-    mean error was 0.4 to 6 % of the mean cost (``experiments/volumes``): paths over centers of voxels stay half a
-    voxel away from walls. In rock, where a leaf may hold several rooms and tunnels, errors are larger.
+    ``certified=False`` gives only the estimate, which has no upper bound. If the file holds the goals, the estimate
+    is at least the least cost of straight motions to the goals, else at least 0, up to rounding to 32 bits.
+
+    - In the plane, the estimate takes about a second, by fast marching over 160,000 nodes. The mean error is mostly
+      0.003 to 0.6 % of the mean cost.
+    - In voxel spaces, nodes are the centers of voxels, or of groups of voxels if there are too many voxels: more than
+      4 million for a point, 16 million for a ball, 2 million if costs depend on the direction. On three synthetic
+      volumes of up to 128 x 128 x 128 voxels the mean error was 0.4 to 6 % of the mean cost
+      (``experiments/volumes``), because paths over centers of voxels stay half a voxel away from walls. In volumes of
+      rock, where a leaf may hold several caves and tunnels, errors are larger.
 
     References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
     problem of a cheapest flow, "A continuous model of transportation", 1952.
@@ -224,7 +232,10 @@ def _require_goals(
 
 
 def _error_by_norm(fit: CellFit) -> Float[np.ndarray, " cells"]:
-    """Return the geometric mean of each leaf's largest error and its L2 norm, for a small mean error of the PLR."""
+    """Return, for each leaf, the geometric mean of the largest error and the L2 norm of the error.
+
+    Leaves are split in descending order of this number, so that the mean error of the PLR is small.
+    """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
     return np.sqrt(largest_error(fit) * norm)
@@ -329,7 +340,7 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
-        """Solve on finer and finer meshes, then thoroughly on the last one."""
+        """Solve the program on finer and finer meshes, and at the end on the finest mesh with many iterations."""
         # 1. Solve on the coarse mesh.
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
@@ -386,10 +397,10 @@ class SlopeSolver:
         return mesh
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return the mesh with each mixed cell free or blocked: free if a motion through its middle is free.
+        """Return a copy of the mesh in which each mixed cell counts as free or as blocked.
 
-        The motion leads from side to side of the cell, along the gradient of the lower bound. The answers for new
-        cells are kept in ``_through``.
+        A mixed cell counts as free if a straight motion through its middle is free, from side to side of the cell
+        along the gradient of the lower bound. The answers are stored in ``_through`` for later calls.
         """
         mesh = self.mesh
         new = np.flatnonzero((mesh.state == CellState.MIXED) & (self._through == CellState.MIXED))
@@ -403,7 +414,10 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, most_added: int, iterate: Iterate) -> tuple[Int[np.ndarray, " some"], int]:
-        """Return cells to refine, most urgent first, and how many cells to add, at most ``most_added`` for each."""
+        """Return the indices of the cells to refine, most urgent first, and how many cells refinement may add in all.
+
+        Each refined cell adds at most ``most_added`` cells.
+        """
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)  # of open cells
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow

@@ -21,13 +21,15 @@ _RANKS = 2  # shares are rounded to so many steps
 
 @dataclass(frozen=True, eq=False)
 class VoxelGroups:
-    """Cubes of ``size`` voxels along each axis; each is a node that stands for one connected part of its free voxels.
+    """Groups of voxels: cubes of ``size`` voxels along each axis, each of which is one node of a coarse grid.
 
-    The part is what faces join, within the group, to the group's free voxel nearest to the middle (``x``)::
+    A node stands for one *part* of its group's free voxels: all voxels that are connected, through faces within the
+    group, to the free voxel ``x`` nearest to the middle of the group::
 
-        # # # | . . .      If no face joins the parts of neighbor groups, one of their nodes is closed: the node in
-        . x . | . x .      the wider place, so that tunnels stay open, or else of the smaller part. A group that holds
-        # # # | # # #      a goal stays open, and its ``x`` is the goal's voxel.
+        # # # | . . .      If no face joins the parts of two neighbor groups, one of their nodes is closed (paths may
+        . x . | . x .      not pass it): the node in the more spacious region, so that tunnels stay open, or else the
+        # # # | # # #      node of the smaller part. The node of a group with a goal stays open, and the group's ``x``
+                           is then the goal's voxel.
     """
 
     box: Box  # of all groups; it may extend beyond the voxels
@@ -42,8 +44,13 @@ class VoxelGroups:
     def of(
         cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
     ) -> "VoxelGroups":
-        """Group the voxels of a domain; ``shape`` has the number of groups along each axis, ``box`` is theirs."""
-        # 1. Pad the voxels so that groups fill the box. Find groups whose voxels are all free, and those with any.
+        """Group the ``free`` and blocked voxels of a domain.
+
+        ``shape`` is the number of groups along each axis, and ``box`` contains all groups. The node of a group that
+        holds one of the ``goals`` stays open.
+        """
+        # 1. Pad the voxels so that groups fill the box. Find the groups in which all voxels are free, and the groups
+        #    in which any voxel is free.
         dim, side = free.ndim, domain.width / free.shape
         size = round(float((box.width / side / shape)[0]))
         before = np.rint((domain.lo - box.lo) / side).astype(int)
@@ -95,11 +102,14 @@ class VoxelGroups:
         return cls(box, size, free, part, has_part, is_open, box.lo + middles * side)
 
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        """Return the costs of all open nodes, and costs of the groups' other voxels, from the ``cost`` of a march.
+        """Complete the costs-to-go of a march over nodes by the costs-to-go of voxels that no node stands for.
 
-        The first result is ``cost``, modified in place. A march misses nodes to which only other voxels lead. It
-        begins again in each region of these nodes, at the node nearest to the goal. For a group, the cost of its
-        other voxel that is nearest to the goal is returned: ``inf`` if it has none, or no path leads there.
+        ``cost`` is the cost-to-go of each node, ``inf`` where the march did not arrive, and ``slowness`` the cost per
+        unit of length. The *other* voxels are the free voxels that belong to no part with a finite cost.
+
+        Return two arrays with one entry per group. The first is ``cost``, completed in place: some open nodes can be
+        reached only through other voxels. So the march begins again in each region of such nodes, at the node nearest
+        to the goal. The second is the least cost of the group's other voxels, ``inf`` if none can be reached.
         """
         of_parts, others = self._costs_across_faces(cost, slowness)
         labeled: Any = ndimage.label(self.is_open & np.isfinite(of_parts))  # finite: the march missed the node
@@ -115,10 +125,11 @@ class VoxelGroups:
         return cost, self._costs_across_faces(cost, slowness)[1]
 
     def _costs_across_faces(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        """Return the least costs of paths through voxels of unknown cost, to each group's part and to its voxels.
+        """Return two costs-to-go for each group: the least cost of a voxel in its part, and of any of its voxels.
 
-        Paths begin at voxels of parts whose cost is known. From there they lead across faces through free voxels of
-        other parts. Costs are ``inf`` where no such path leads; also for parts whose cost is known.
+        Only voxels of unknown cost count; if there are none with a path, the cost is ``inf``. A voxel's cost is known
+        if the voxel belongs to a group's *part* (the voxels for which the group's node stands) and the node has a
+        finite ``cost``. Paths lead from voxels of known cost across faces through free voxels of unknown cost.
         """
         # 1. The voxels of unknown cost.
         dim, size, shape = self.free.ndim, self.size, np.array(self.free.shape)

@@ -40,7 +40,10 @@ EdgeRows: TypeAlias = Int[np.ndarray, " some_edges"]
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """The boundary of a polygonal region: vertices, and edges as pairs of vertex indices, region on the left."""
+    """The boundary of a polygonal region: vertices, and edges with the region on their left.
+
+    An edge is the pair of indices of the vertices where it starts and ends.
+    """
 
     vertices: Vertices
     edges: Edges
@@ -66,7 +69,7 @@ class Boundary:
 
     @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
-        """Indices of the vertices at which several edges start: there the region touches itself in a point."""
+        """Indices of the vertices at which several edges start: points where the region touches itself."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
     @cached_property
@@ -74,7 +77,14 @@ class Boundary:
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
     def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
-        """Return the points ``within`` a distance of an edge (None: all), their nearest edges, and feet on these."""
+        """Project points ``x`` onto their nearest edges; points farther than ``within`` from all edges are left out.
+
+        If ``within`` is None, no point is left out.
+
+        Returns:
+            For each projected point, its index in ``x``, the index of its nearest edge, and the nearest point on the
+            edge.
+        """
         points: Any = shapely.points(x)
         point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)
         lines: Any = self.tree.geometries[edge]
@@ -91,11 +101,11 @@ class Boundary:
 
 
 def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) -> Boundary | None:
-    """Return the boundary of a Shapely (multi)polygon, each edge split at the vertices that lie on it.
+    """Return the boundary of a Shapely (multi)polygon; edges are split at vertices that lie on them.
 
-    A vertex lies on an edge if their distance is at most ``tolerance / 4``. The result is None if edges coincide, or
-    a vertex is within ``tolerance`` of an edge but not on it. Vertices of ``old``, such as the boundary before a
-    local change, are not tested against edges of ``old``.
+    A vertex lies on an edge if their distance is at most ``tolerance / 4``. The result is None if two edges coincide,
+    or if a vertex is within ``tolerance`` of an edge but does not lie on it. To save time, ``old`` may be the
+    boundary before a local change: vertices of ``old`` are not tested against edges of ``old``.
     """
     # 1. Number the distinct points of all rings, ordered by x, then y. Edges join consecutive ones of a ring.
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
@@ -146,7 +156,10 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, " old_vertices"], Int[np.ndarray, " old_edges"]]:
-    """Return the index among ``vertices`` or ``edges`` of each vertex and edge of ``old``; -1 if it is gone."""
+    """Return the index in ``vertices`` of each vertex of ``old``, and the index in ``edges`` of each edge of ``old``.
+
+    The index is -1 for vertices and edges that do not exist any more.
+    """
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -157,7 +170,11 @@ def match_boundary(
 def vertices_near_edges(
     vertices: Vertices, edges: Edges, tolerance: float, some_vertices: VertexRows, some_edges: EdgeRows
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-    """Return pairs of ``some_vertices`` and ``some_edges`` within ``tolerance``, except an edge with its own ends."""
+    """Return the pairs of a vertex and an edge within ``tolerance`` of each other, as two arrays of indices.
+
+    Only the vertices with the indices ``some_vertices`` and the edges with the indices ``some_edges`` are tested. An
+    edge and its own ends are no pairs.
+    """
     # First drop vertices far from the box of all edges, then edges far from the box of the remaining vertices.
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
@@ -174,15 +191,19 @@ def vertices_near_edges(
 def boxes_near(
     x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether the bounding box of the points ``x[i]`` is within ``reach`` of the box of all ``others``."""
+    """Return, for each ``i``, whether the bounding box of the points ``x[i]`` is near the bounding box of ``others``.
+
+    Boxes are near if they are at most ``reach`` apart along each axis. There is one box of all points ``others``.
+    """
     lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
 def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
-    """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry.
+    """Return the part of a region that lies within ``radius`` of the region's boundary, as a Shapely geometry.
 
-    Chords replace arcs around corners; if ``outside``, tangents do.
+    The part has arcs around reflex corners, which are replaced by polylines: by chords of the arc or, if ``outside``,
+    by tangents, so that the result contains the arc.
     """
     #    sector .- - - - - - -     The part consists of strips on the left of all edges, and of sectors of discs at
     #         /  |   strip         reflex corners: from the strip of the edge that starts at the corner c,
@@ -231,7 +252,10 @@ def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """Check a ring ``(n, 2)`` or a Shapely polygon, and return it as a polygon; errors call it ``name``."""
+    """Check a ring of vertices ``(n, 2)`` or a Shapely polygon, and return a Shapely polygon.
+
+    Errors call the value ``name``.
+    """
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
@@ -262,7 +286,10 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
 
 def _repaired(name: str, shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
-    """Return the union of invalid polygons, each without its holes, if no ring crosses itself."""
+    """Make an invalid Shapely polygon valid: return the union of its parts, each part without its holes.
+
+    ``ValueError`` is raised if a ring crosses itself; the message calls the polygon ``name``.
+    """
     parts = []
     for part in shapely.get_parts(shape):
         outer, *holes = (_inside_of_ring(name, ring) for ring in shapely.get_rings(part))
@@ -286,7 +313,11 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
-    """Return the bounds, and free space as the union of components with holes, cut off at the bounds."""
+    """Return the bounds, and the free space: the union of all components without their holes, within the bounds.
+
+    A component is a Shapely polygon, or a mapping with a ring "outer" and a list of rings "holes". If ``bounds`` is
+    None, the bounds are the bounding box of the components.
+    """
     # 1. Check each component, and subtract its holes.
     polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
@@ -325,12 +356,12 @@ def grid_of(bounds: Box) -> float:
 
 
 def grid_at(tolerance: float) -> float:
-    """Return the grid spacing to which vertices are rounded, a power of two: about a thousandth of ``tolerance``."""
+    """Return the spacing of the grid to which vertices are rounded: a power of two, about ``tolerance / 1000``."""
     return float(2.0 ** np.ceil(np.log2(tolerance / 1e3)))
 
 
 def advice_on_cells(value: object) -> str:
-    """Advise what to use for an array of cells that is given in place of polygons or bounds."""
+    """Return advice for an error message if ``value`` is an array of pixels or voxels, else an empty text."""
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
         return ""
     if value.ndim == 2:
@@ -342,7 +373,11 @@ def advice_on_cells(value: object) -> str:
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
-    """Check the bounds of a workspace: a box in the plane, not periodic, whose size and place numbers can resolve."""
+    """Check that a value can be the bounds of a workspace, and return it as a Box.
+
+    Bounds must be a 2-D box without periodic axes, and not too large, small, slender or far from the origin for
+    64-bit coordinates.
+    """
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")
@@ -388,7 +423,7 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
 
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
-    """Return the Shapely geometries with all vertices that are within ``tolerance`` of one another made equal."""
+    """Return copies of Shapely geometries in which vertices within ``tolerance`` of one another are made equal."""
     # Group the distinct vertices that chains of such pairs join. The first of a group, by x, then y, replaces all.
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)
@@ -400,7 +435,10 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
-    """Return the Shapely geometry ``make()``, prepared for queries; it is cached by owner, name and thread."""
+    """Return the Shapely geometry ``make()``, prepared for queries.
+
+    The result is cached by owner, name and thread, so that ``make`` is called once for each.
+    """
     # GEOS may crash if threads share a prepared geometry.
     of_owners = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary())  # in this thread
     of_owner = of_owners.setdefault(owner, {})
@@ -419,9 +457,10 @@ class Region(NamedTuple):
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
-    """Return free space as a region, with vertices on a grid; ``rounded(free, grid)`` moves them there.
+    """Return free space, a Shapely geometry, as a region with vertices on a grid.
 
-    ``ValueError`` if nothing is free, or walls or gaps are too thin.
+    ``rounded(free, grid)`` rounds the vertices to multiples of ``grid``. ``ValueError`` is raised if nothing is free,
+    or walls or gaps are too thin.
     """
     # 1. Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
@@ -444,7 +483,11 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return free space as :func:`region_of` does, but do not test parts of the boundary that are also in ``old``."""
+    """Return free space as a region, like :func:`region_of`, but in less time after a local change.
+
+    ``old`` is the boundary before the change. Parts of the boundary that did not change are not tested for walls and
+    gaps that are too thin.
+    """
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

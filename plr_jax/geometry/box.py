@@ -28,10 +28,10 @@ _TIE = 1 - 2.0**-40  # keeps rounding from moving a point that is exactly half a
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis, else ``ValueError``.
+    """A closed axis-aligned box ``[lo, hi]``. Its width along every axis must be positive, else ``ValueError``.
 
     Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*. Both
-    ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
+    ends of such an axis are the same place, the *seam*, and every finite coordinate lies in the box.
 
     Args:
         lo: Lower corner, ``(dim,)``, finite.
@@ -60,7 +60,7 @@ class Box:
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
-        """Return a Box as it is, or build one from its corners ``(lo, hi)``; errors call it ``name``."""
+        """Return a Box unchanged, or build a Box from its corners ``(lo, hi)``; errors call the value ``name``."""
         if isinstance(value, Box):
             return value
         try:
@@ -80,7 +80,10 @@ class Box:
         return self.hi - self.lo
 
     def at(self, fraction: Float[np.ndarray, "*n axes"]) -> Float[np.ndarray, "*n dim"]:
-        """Return points at fractions ``(..., dim)`` of the widths, or ``(..., 1)`` for one fraction for all axes."""
+        """Return the points ``lo + fraction * width``.
+
+        Fractions have shape ``(..., dim)``, or ``(..., 1)`` if they are equal along all axes.
+        """
         # All faces of cells and voxels come from this formula, so that equal faces are equal to the bit.
         return np.where(fraction == 1, self.hi, self.lo + self.width * fraction)
 
@@ -91,14 +94,14 @@ class Box:
 
     @property
     def in_single(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-        """Lower and upper corner in 32 bits, rounded outward, so that points of the box stay inside if rounded."""
+        """Lower and upper corner as 32-bit floats, rounded outward: points of the box stay inside when rounded."""
         lo, hi = self.lo.astype(np.float32), self.hi.astype(np.float32)
         lo = np.where(lo > self.lo, np.nextafter(lo, np.float32(-np.inf)), lo)
         return lo, np.where(hi < self.hi, np.nextafter(hi, np.float32(np.inf)), hi)
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
-        """Distances, ``(2, dim)``, by which :attr:`in_single` lies below ``lo`` and above ``hi``, rounded down."""
+        """Distances, ``(2, dim)``, of the corners :attr:`in_single` below ``lo`` and above ``hi``, rounded down."""
         lo, hi = self.in_single
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))
@@ -106,10 +109,12 @@ class Box:
     def settled(self, x: ArrayLike, is_free: FreeFn | None = None, reach: float = 0.0) -> ArrayLike:
         """Move 32-bit points ``(..., dim)`` that rounding alone has put outside the box or into obstacles.
 
-        A free point beside a wall, rounded to 32 bits, may lie in the wall. So a point that comes as 32-bit floats
-        stands for all points up to one step of 32 bits away along each axis. If the point is not free and one of
-        these is, that point takes its place. Without ``is_free``, all points of the box are free. The step is that of
-        the coordinate, or of the number ``reach`` if this is larger: the size of a body at the point.
+        A free point beside a wall, rounded to 32 bits, may lie in the wall. So if a point of 32-bit floats is not
+        free, points that differ from it by one step along some axes are tried, and the first free point replaces it.
+        A step is the spacing of 32-bit floats at the coordinate or, if larger, at ``reach``, the size of a body at
+        the point. Without ``is_free``, all points of the box are free.
+
+        Points of another type or shape, also 64-bit points, are returned unchanged. Other results are 64-bit floats.
         """
         if not is_single(x) or np.shape(x)[-1:] != (self.dim,):
             return x
@@ -134,7 +139,10 @@ class Box:
         return Box(self.lo + by, self.hi + by, self.periodic)
 
     def contains(self, x: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether points ``(n, dim)`` lie in the box: NaN never does, finite periodic coordinates do."""
+        """Return whether points ``(n, dim)`` lie in the box.
+
+        Along periodic axes, every finite coordinate lies in the box. NaN never does.
+        """
         x = as_points("x", x, self.dim)
         inside = (self.lo <= x) & (x <= self.hi)
         if self.is_periodic:
@@ -144,7 +152,8 @@ class Box:
     def wrapped(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
         """Move coordinates of points ``(..., dim)`` along periodic axes by whole periods into ``[lo, hi)``.
 
-        Infinite coordinates and NaN stay. A moved coordinate within rounding of the seam becomes ``lo``.
+        Infinite coordinates and NaN are not moved. A moved coordinate within rounding errors of the seam becomes
+        ``lo``.
         """
         x = wrapped = self._points("x", x)
         for axis in np.flatnonzero(self.periodic):
@@ -161,7 +170,10 @@ class Box:
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Move finite points ``(..., dim)`` by whole periods to their images nearest to finite reference points."""
+        """Move points ``(..., dim)`` by whole periods along periodic axes to be nearest to the points ``reference``.
+
+        All points must be finite; the two shapes broadcast.
+        """
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
@@ -180,9 +192,9 @@ class Box:
         return points
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
-        """Return the centers, ``(rows, columns, 2)``, of nearly square cells over a 2-D box, lowest row first.
+        """Return the centers, ``(rows, columns, 2)``, of nearly square cells that fill a 2-D box, lowest row first.
 
-        The longer side has ``resolution`` cells (at least 1), the shorter one at least one.
+        The longer side of the box has ``resolution`` cells; the shorter side has at most as many, but at least one.
         """
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
@@ -214,7 +226,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """A 2-D slice of a box: coordinates along ``axes`` vary, and all others are those of the point ``at``."""
+    """A 2-D slice of a box: coordinates along the two ``axes`` vary, all other coordinates are those of ``at``."""
 
     domain: Box
     axes: tuple[int, int]
@@ -222,7 +234,7 @@ class Slice:
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
-        """Return the slice of a box on which coordinates are fixed: ``at`` maps axes to values (None: none)."""
+        """Return a slice of the box ``domain``: ``at`` maps each fixed axis to its coordinate, the other two vary."""
         at = {} if at is None else at
         are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
         if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):
@@ -244,7 +256,10 @@ class Slice:
         return Box(self.domain.lo[axes], self.domain.hi[axes], [self.domain.periodic[axis] for axis in axes])
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns dim"]:
-        """Return the cell centers of :meth:`Box.grid` over the slice, as points of the box that is sliced."""
+        """Return the centers of nearly square cells that fill the slice, as points of ``domain``.
+
+        The cells are those of :meth:`Box.grid`.
+        """
         centers = self.box.grid(resolution)
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers

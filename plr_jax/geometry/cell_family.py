@@ -1,4 +1,7 @@
-"""Sample points and convex pieces of boxes, and the corners that each sees, computed once for many goals."""
+"""Data of boxes, computed once for many goals on a map: sample points, convex pieces, and the corners that see them.
+
+Shortest paths from a sample point, or from a point of a piece, may turn first at a corner that sees it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +30,7 @@ Indices: TypeAlias = Int[np.ndarray, " cells"]
 
 @dataclass(frozen=True, eq=False)
 class FamilySamples:
-    """A sample point of each box that is not blocked, and the corners where paths from the sample may turn first."""
+    """A sample point in each box that is not blocked, and the corners where paths from the sample may turn first."""
 
     x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
     weight: Float[np.ndarray, " boxes"]  # free share of each box's area; 0 without a sample
@@ -40,7 +43,10 @@ class FamilySamples:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
-        """Choose a sample in each box ``lo[i]`` to ``hi[i]``, all of one size, and find where paths may turn."""
+        """Choose a sample point in each box ``lo[i]`` to ``hi[i]``, and find where paths from it may turn first.
+
+        All boxes have the same size.
+        """
         # 1. Sample boxes without walls at their centers: the box is free or blocked as a whole.
         x, weight = (lo + hi) / 2, np.ones(len(lo))
         at_wall = np.unique(triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0])
@@ -81,7 +87,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, " corners"]
     ) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
-        """Return each sample's distance to a goal (``inf``: no path), and where its shortest path turns first.
+        """Return the distance from each box's sample to a goal, and the point where the shortest path turns first.
 
         Args:
             goal: The goal.
@@ -89,7 +95,8 @@ class FamilySamples:
             corner_distances: The distance of each corner to the goal.
 
         Returns:
-            Distances, and vertices: 1 + the corner's index; 0 if the path is straight; -1 without a path or sample.
+            The distance for each box (``inf`` without a path or sample), and an index for each box: 1 + the index of
+            the corner where the path turns first; 0 if the path is straight; -1 without a path or sample.
         """
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         # 1. Paths by corners. Of equally short ones, the first corner of the list is assigned last, and stays.
@@ -108,14 +115,17 @@ class FamilySamples:
 
 
 def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return the corners of a box around the visibility polygon: around the viewpoint and the edges it sees."""
+    """Return the lower and upper corner of a box that contains a viewpoint and all edges that the viewpoint sees.
+
+    ``view`` is the visibility polygon of this one viewpoint.
+    """
     ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
     return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """The free parts of boxes as convex pieces, for oracles of any goal on one map."""
+    """The free space in boxes as convex pieces, and the corners that see them; built once for all goals on a map."""
 
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
@@ -128,11 +138,14 @@ class FamilyCells:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
-        """Cut free space into convex pieces, box by box; a box that no wall reaches into is one piece."""
+        """Cut the free space in each box from ``lo[i]`` to ``hi[i]`` into convex pieces.
+
+        A box that no wall reaches into is one piece.
+        """
         # 1. Cut all triangles into parts, sorted by box: the triangle of part ``i`` is ``part[i]``.
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
-        # 2. Make one piece of all parts of a free box, and of each part of the others.
+        # 2. Make one piece of all parts of a free box, and a piece of each part of any other box.
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
         is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
         first_part = np.flatnonzero(~is_free | np.append(True, box[1:] != box[:-1])[: len(box)])
@@ -146,7 +159,7 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
-    """The sources, turn points and visibility polygon of one goal, as cells of a family need them."""
+    """The data of one goal that :func:`cells_of_goals` needs."""
 
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn
@@ -156,10 +169,11 @@ class FamilyGoal(NamedTuple):
 def cells_of_goals(
     shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
 ) -> CellSources:
-    """Return pieces of boxes with their sources: cell ``i`` is box ``box[i]``, for paths to ``goals[goal_of[i]]``.
+    """Return cells with their convex pieces and *sources*: points to which shortest paths from a piece may go first.
 
-    Source ``g * count`` is goal ``g``, and source ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``, with
-    ``count`` 1 more than the number of corners.
+    Cell ``i`` is the free space in the box of index ``box[i]``, with the sources of paths to ``goals[goal_of[i]]``.
+    Let ``count`` be 1 more than the number of corners. Source ``g * count`` is goal ``g``, and source
+    ``g * count + 1 + c`` is corner ``c`` on paths to goal ``g``.
     """
     sight = _sight_of_goals(shared.sight, corners, goals)
     count, num_sources = 1 + len(corners.points), len(sight.sources.points)
@@ -197,7 +211,7 @@ def cells_of_goals(
         keys.append(owner[pairs] * np.int64(num_sources) + source[pairs])
     key = np.sort(np.concatenate(keys))
     piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], num_sources)
-    # 3. Test what viewpoints see, once for all goals: a piece and a corner are the same for each of them.
+    # 3. Test what viewpoints see, once for all goals: what a corner sees of a piece does not depend on the goal.
     num_views = len(sight.shadows.table.points)
     key, index = np.unique(rows[piece] * num_views + sight.view[source], return_inverse=True)
     row, view = np.divmod(key, num_views)
@@ -211,7 +225,7 @@ def cells_of_goals(
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
-    """Join the sources and turns of several goals, one goal after the other, with what corners see."""
+    """Join the sources of several goals, one goal after the other, into one :class:`Sight`."""
     num, count = len(goals), 1 + len(corners.points)
     # 1. Viewpoints are all goals, then all corners. Keys begin with 4 times the viewpoint's index.
     goal_table = joined_tables([goal.view for goal in goals])

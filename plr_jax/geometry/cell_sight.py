@@ -1,8 +1,9 @@
-"""The corners that each cell of a partition of the plane sees, from which shortest paths from the cell go on.
+"""The corners that see each cell of a partition of the plane: shortest paths from the cell may turn there first.
 
-The free part of a cell consists of convex *pieces*: the whole cell, or parts of triangles if a wall reaches into it.
-The *sources* of a piece are the goal and the corners to which a path from the piece may go first. When a cell is cut,
-its parts inherit pieces and sources, except sources that no point of the piece sees or at which no path turns.
+The free space in a cell is divided into convex *pieces*. The whole cell is one piece unless a wall reaches into it;
+then the pieces are parts of triangles. The *sources* of a piece are the goal and the corners to which a shortest path
+from the piece may go first. When a cell is cut in two, the new cells inherit pieces and sources. A source of a new
+piece is dropped if no point of the piece sees it, or if no path from the piece turns at the source.
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall.
+    """Segments (*shadows*) across which visibility from a viewpoint changes: on rays past corners, behind the corner.
 
     ::
 
@@ -42,8 +43,9 @@ class Shadows:
                              /                    | wall  points below it, behind the obstacle.
                    obstacle /                     |
 
-    On either side of the ray, the viewpoint sees another wall. The shadow is the part of the ray between the nearer
-    and the farther wall. If the viewpoint does not look to one side of the ray, the shadow starts at the viewpoint.
+    On the two sides of the ray, the viewpoint sees different walls. The shadow is the part of the ray between the
+    nearer and the farther wall. If the viewpoint does not look to one side of the ray, the shadow starts at the
+    viewpoint.
     """
 
     table: VisibilityTable
@@ -54,7 +56,7 @@ class Shadows:
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
-        """Find the shadows of all viewpoints of a table."""
+        """Find the shadows of all viewpoints of a visibility table."""
         # 1. The first interval of each viewpoint starts at the cut, every other one at a vertex. Find unit vectors
         #    towards these vertices.
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
@@ -80,10 +82,11 @@ class Shadows:
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        """Return whether viewpoints see the centers of convex pieces, and whether the same holds for whole pieces.
+        """Test what viewpoints see of convex polygons; return two booleans per polygon, ``(sees_center, is_whole)``.
 
-        Piece ``i``, with a point ``center[i]`` inside, is tested for viewpoint ``view[i]``. The viewpoint sees all or
-        nothing of the piece if no shadow crosses the piece.
+        Viewpoint ``view[i]`` is tested with polygon ``i``, which contains the point ``center[i]``. ``is_whole`` is
+        True if no shadow (see the class) of the viewpoint crosses the polygon. The viewpoint then sees all of the
+        polygon if it sees the center, else nothing.
         """
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         # 1. Find the range of keys strictly inside each piece. Keys of one viewpoint run from 0 to 4,
@@ -135,7 +138,11 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return turn points ``2 * c`` and ``2 * c + 1`` of each corner ``c``: the two ways to bend around the corner."""
+    """Return two turn points of each corner ``c``, one for each direction in which paths bend around the corner.
+
+    The turn points have the indices ``2 * c`` and ``2 * c + 1``. A turn point is the corner together with the cone
+    from which paths come that bend around the corner.
+    """
     #              .   side 1          A path around the corner goes from one cone into the other. The cone of
     #              .                   side 1 is left of both walls' lines, the cone of side 0 is right of both.
     #     . . . . .c=== opening wall   Free space is counterclockwise from the opening to the closing wall.
@@ -149,7 +156,11 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
-    """List, for each triangle, the turn points of :func:`turns_by_side` that see a part of it in their cone."""
+    """List, for each triangle of free space, the turn points that see a part of the triangle within their cone.
+
+    A turn point is a corner together with a cone from which paths around the corner come: see :func:`turns_by_side`.
+    The result is ``(first, turn)``: triangle ``t`` has the turn points ``turn[first[t] : first[t + 1]]``.
+    """
     visits = []
     right, left = turns_by_side(visibility.corners).bounds
     for side in range(2):
@@ -160,9 +171,10 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The goals and corners to which shortest paths may go first (*sources*), and data to test them.
+    """The goals and corners to which shortest paths may go first (*sources*), and data for two tests of sources.
 
-    The data decide which sources see a convex piece of free space, and at which paths from the piece may turn.
+    The tests are whether a source sees a convex piece of free space, and whether a path from the piece may turn at
+    the source.
     """
 
     sources: Sources
@@ -173,9 +185,10 @@ class Sight:
     triangulation: Triangulation
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
-        """Return whether a part of each piece may lie in its source's cone of :class:`TurnPoints`; True for a goal.
+        """Return whether shortest paths from some point of polygon ``i`` may turn at ``source[i]``; True for a goal.
 
-        With ``from_all``, return whether all of the piece lies in the cone.
+        Paths may turn there if a part of the polygon lies in the source's cone (see :class:`TurnPoints`). If
+        ``from_all``, return whether all of the polygon lies in the cone.
         """
         # The cone of turn point p is n . x >= n . p for its two normals n. The extremes of n . x are at the piece's
         # corners. Both normals are tested on their own, so a piece that passes may still miss the cone.
@@ -192,12 +205,15 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class CellSources:
-    """The free part of cells as convex pieces, each with *sources*: the goal or corners to which paths may go first.
+    """The free space in cells as convex pieces, each with *sources*: the goal or corners to which paths may go first.
 
-    Let ``distances[s]`` be the distance from source ``s`` to the goal. If these are known, the distance of a point
-    ``x`` of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over the piece's sources ``s``. It
-    is at most the minimum over the sources that all of the piece sees. Both hold to within :attr:`slack`. Pieces
-    without a path to the goal are then left out.
+    Let ``distances[s]`` be the distance from source ``s`` at ``points[s]`` to the goal. If these distances are known,
+    they bound the distance from a point ``x`` of a piece to the goal, with an error of at most :attr:`slack`:
+
+    - It is at least the minimum of ``distances[s] + |x - points[s]|`` over the piece's sources ``s``.
+    - It is at most the minimum of this sum over those sources ``s`` that are visible from every point of the piece.
+
+    Pieces without a path to the goal are then left out.
     """
 
     sight: Sight
@@ -214,11 +230,14 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
-        """Find the convex pieces of free space in boxes; ``lists`` has possible sources by triangle of free space."""
+        """Find the convex pieces of the free space in each box from ``lo[i]`` to ``hi[i]``, and their sources.
+
+        ``lists`` has the possible sources of each triangle of free space.
+        """
         # 1. Cut triangles into the pieces of cells.
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = convex_pieces.clip_to_boxes(triangles, lo, hi)
-        # 2. Give each piece the possible sources of its triangle, and drop those that it does not need.
+        # 2. Give each piece the possible sources of its triangle, and drop the sources that it does not need.
         first, source = lists
         chunks = []
         for chunk in parts(np.diff(first)[triangle], _CHUNK):
@@ -236,7 +255,7 @@ class CellSources:
 
     @property
     def slack(self) -> float:
-        """Error of distance bounds, in workspace units, since free space is known only to a tolerance."""
+        """Largest error of distance bounds, in workspace units, since free space is known only to a tolerance."""
         return 4 * self.sight.triangulation.tolerance
 
     @property
@@ -244,7 +263,7 @@ class CellSources:
         return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, " n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether piece ``piece[i]`` contains each of the points ``points[i]``, to the tolerance."""
+        """Return whether piece ``piece[i]`` contains each of the points ``points[i]``, up to a tolerance."""
         return convex_pieces.contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
 
     def see(self, source: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
@@ -252,7 +271,7 @@ class CellSources:
         return self.sight.shadows.table.sees(self.sight.view[source], points)
 
     def pieces_as_cells(self, rows: Int[np.ndarray, " some"]) -> Self:
-        """Return the pieces ``rows``, each as a cell of its own."""
+        """Return an object with only the pieces ``rows`` (indices), each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
@@ -264,12 +283,15 @@ class CellSources:
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, " some"]) -> Self:
-        """Return the cells ``cells``, in this order, numbered from 0."""
+        """Return an object with only the cells ``cells`` (indices), in this order; their new indices are 0, 1, ..."""
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, " some"]) -> Self:
-        """Return the pieces ``rows``, in this order; the caller must renumber ``cell`` unless it stays ascending."""
+        """Return an object with only the pieces ``rows`` (indices), in this order.
+
+        If ``cell`` is then no longer ascending, the caller must renumber the cells.
+        """
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = take_ragged(self.first_pair, rows)
@@ -277,11 +299,14 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, " some"] | Bool[np.ndarray, " pairs"]) -> Self:
-        """Return all pieces with only the pairs ``pairs`` of a piece and a source."""
+        """Return an object with all pieces, but only those pairs of a piece and a source that ``pairs`` selects.
+
+        ``pairs`` are indices, or a boolean for each pair.
+        """
         return replace(self, **{name: getattr(self, name)[pairs] for name in _OF_PAIRS})
 
     def append(self, *others: Self) -> Self:
-        """Return the cells of this object, then those of the others."""
+        """Return the cells of this object, then the cells of the other objects, as one object."""
         several = self, *others
         columns = {name: concatenated(several, name)[0] for name in (*_OF_PIECES, *_OF_PAIRS)}
         pieces = np.concatenate([group.pieces for group in several], axis=1)
@@ -293,10 +318,10 @@ class CellSources:
         return replace(self, num_cells=int(num_cells.sum()), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
-        """Return parts of cells as cells, with centers, distances and sources.
+        """Cut cells in two, and return the halves as new cells, with centers, distances and sources.
 
-        Part ``i`` is the box ``lo[i]`` to ``hi[i]``: cell ``parent[i]`` above (``is_upper``) or below a cut across
-        ``axis[i]``.
+        New cell ``i`` is the box from ``lo[i]`` to ``hi[i]``: the half of cell ``parent[i]`` above a cut
+        perpendicular to ``axis[i]`` if ``is_upper[i]``, else the half below the cut.
         """
         # 1. Compute the signed distances of the corners of pieces from the cut, positive in the part.
         rows, cell = take_ragged(self.first_piece, parent)
@@ -313,9 +338,10 @@ class CellSources:
         return part.merge_free_boxes(is_cut, lo, hi)
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Replace the pieces of each cell without walls by one, the whole box, and drop pieces without area.
+        """Merge the pieces of each cell without walls into one piece, the cell's box, and drop pieces without area.
 
-        Then prune the sources of merged pieces and of ``changed`` ones. Cell ``i`` is the box ``lo[i]`` to ``hi[i]``.
+        Then call :meth:`prune_sources` for merged pieces and for ``changed`` pieces (a boolean for each piece). Cell
+        ``i`` is the box from ``lo[i]`` to ``hi[i]``.
         """
         # 1. Find the walls of cells with several pieces. All these pieces are parts of triangles (`triangle` >= 0),
         #    and walls in the cell are sides of these triangles. Wall ``i`` belongs to cell ``cells[index[i]]``.
@@ -350,12 +376,15 @@ class CellSources:
             keys = target[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
             merged = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
             merged = replace(merged, piece=target[merged.piece], by_all=merged.by_all & ~is_merged[merged.piece])
-        # 4. Drop pieces without area and merged ones, and prune the sources of the others.
+        # 4. Drop pieces without area and merged pieces, and prune the sources of the remaining pieces.
         kept = np.flatnonzero(is_kept)
         return merged.of_pieces(kept).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop the sources of changed pieces that no point of a piece sees, or at which no path from it turns."""
+        """Drop a source of a changed piece if no point of the piece sees it, or no path from the piece turns there.
+
+        ``changed`` has a boolean for each piece. If there is a goal, also call :meth:`prune_dominated`.
+        """
         # 1. Compute the centers of changed pieces. A path straight to the old center bounds the distance of the new.
         has_goal = np.isfinite(self.sources.distances).any()
         center = self.center.copy()
@@ -384,9 +413,11 @@ class CellSources:
         return replace(moved, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
-        """Find the best source of each changed piece, and drop the sources through which no path is shorter.
+        """Find the best source of each changed piece: the shortest path from the piece's center goes there first.
 
-        ``by_center`` says whether the center of a pair's piece sees its source. Pieces without a path are dropped.
+        Drop the other sources of the piece that offer a shorter path from no point of the piece, and drop pieces
+        without a path to the goal. ``changed`` says which pieces changed. ``by_center`` says, for each pair of a
+        piece and a source, whether the piece's center sees the source.
         """
         # 1. Find the best source s of each center c, with the least distances[s] + |c - points[s]|; ties prefer
         #    sources that all of the piece sees.
@@ -424,7 +455,11 @@ class CellSources:
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
-    """Return the sight of goals, then corners, whose distances are known; source ``i`` is viewpoint ``i``."""
+    """Return the :class:`Sight` of sources with known distances to the goal: the goals, then all corners.
+
+    Source ``i`` is viewpoint ``i`` of the visibility ``table``. ``turns`` are the corners where paths to the goal may
+    turn first.
+    """
     index = np.arange(len(sources.points))
     turn = np.full(len(index), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[:num_goals] = -1
@@ -433,7 +468,11 @@ def goal_sight(
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
-    """List, for each triangle, where paths may go first: all goals, and corners that see a part of the triangle."""
+    """List, for each triangle of free space, the sources to which paths from the triangle may go first.
+
+    The sources are all goals, with the indices 0, 1, ..., and the corners that ``regions`` lists for the triangle.
+    The result is ``(first, source)``: triangle ``t`` has the sources ``source[first[t] : first[t + 1]]``.
+    """
     # The goals come before the corners of each triangle, so the list of triangle t begins num_goals * t later.
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
@@ -441,7 +480,11 @@ def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the sight of all corners without a goal: each corner is two sources, those of :func:`turns_by_side`."""
+    """Return the :class:`Sight` of all corners, without a goal and distances.
+
+    There are two sources for each corner, one for each direction in which paths bend around the corner: see
+    :func:`turns_by_side`.
+    """
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)
@@ -449,7 +492,11 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 
 
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
-    """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
+    """Return the pairs of a cell and a corner where shortest paths from the cell may turn first.
+
+    The result is three arrays ``(cell, corner, is_seen_by_all)``: two indices, and whether every point of the cell is
+    known to see the corner.
+    """
     # 1. Unite both sources of a corner, 2 c and 2 c + 1, in pairs (piece, corner). If a piece has both, their
     #    `by_all` are equal, since they are seen from the same viewpoint.
     count = np.int64(len(cells.sight.turns.points) // 2)

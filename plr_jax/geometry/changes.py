@@ -1,7 +1,8 @@
 """Updates of a triangulation and of corner visibility after a local change of free space.
 
-Triangles are kept unless a changed edge meets them, and the gap is triangulated. Corners keep what they see unless
-they may see a changed edge. So the cost follows the size of the change, except for a few passes over all edges.
+Triangles are kept unless a changed edge touches them; the gap between kept triangles is triangulated again. What a
+corner sees is computed again only if it may see a changed edge. So the time is about proportional to the size of the
+change, except for a few passes over all edges.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ GoalView: TypeAlias = tuple[VisibilityTable, Indices]
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A change of the boundary of free space, and which vertices and edges stay."""
+    """A change of the boundary of free space, and the new indices of the vertices and edges that stay."""
 
     old: Boundary
     new: Boundary
@@ -44,11 +45,14 @@ class Change:
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, " new_edges"]:
-        """Whether each edge of ``new`` was not an edge of ``old``."""
+        """For each edge of ``new``, whether it is no edge of ``old``."""
         return np.isin(np.arange(len(self.new.edges)), self.edge, invert=True)
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Return the bounding box of each connected group of changed edges, grown by ``margin``, as four corners."""
+        """Return the bounding box of each connected group of changed edges, as four corners ``(4, 2)``.
+
+        Changed edges are edges of ``old`` that are gone and new edges of ``new``. Boxes are grown by ``margin``.
+        """
         # 1. Group the ends of edges that are gone or new.
         segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
         points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
@@ -64,7 +68,10 @@ class Change:
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """Return the triangulation after a change of walls; None if rounding prevents this and it must be rebuilt."""
+    """Return the triangulation of free space after a change of walls, from the ``old`` triangulation.
+
+    The result is None if rounding errors prevent the update; the triangulation must then be computed from scratch.
+    """
     # Dropped triangles leave a gap. It is bounded by walls without a triangle, and by *rims*: half-edges of dropped
     # triangles whose twins belong to kept ones.
     # 1. Keep triangles unless they have a wall or a vertex that is gone, or meet a new edge.
@@ -96,7 +103,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
         return None
     if len(np.unique(fill.wall[fill.wall >= 0])) < len(edges):  # an edge has no triangle
         return None
-    # 3. Number the kept half-edges, then those of the gap.
+    # 3. Number the kept half-edges, then the half-edges of the gap.
     kept = np.flatnonzero(is_half_kept)
     new_index = np.where(is_half_kept, np.cumsum(is_half_kept) - 1, -1)
     origin = np.concatenate([vertex[kept], vertex_of_gap[fill.origin]])
@@ -114,11 +121,15 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
-    """Return what all corners and the goal see after a change, computed again only where it may differ."""
+    """Return what all corners and the goal see after a change; recompute only what the change may affect.
+
+    ``old`` is what the corners saw before the change. ``of_goal`` is what the goal saw: its visibility polygon, and
+    the corners that it saw. ``goal`` is the goal as a viewpoint, and ``workspace`` the workspace after the change.
+    """
     #    at_vertex[c]   old corner at the vertex of new corner c; -1 if there is none
     #    matched[c]     at_vertex[c] if both have equal sectors, else -1
     #    reused[c]      matched[c] if what the corner sees has not changed either, else -1
-    # These have -1 for no corner, and `np.append(values, default)[index]` reads `default` there.
+    # In these arrays, -1 means no corner; `np.append(values, default)[index]` reads `default` at index -1.
     #
     # 1. Match each new corner with the old one at its vertex, if all sectors of both open and close at equal edges.
     corners, views = find_corners(workspace)
@@ -178,7 +189,7 @@ def changed_visibility(
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
-    """Return which viewpoints may see a change: they saw a wall that is gone, or may see a changed part."""
+    """Return whether each viewpoint may see a change: it saw an edge that is gone, or may see where edges changed."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
@@ -191,7 +202,11 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, " n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``; False only if closer walls hide it."""
+    """Return whether viewpoint ``view[i]`` may see the convex polygon ``hull[i]``.
+
+    The result is False only if walls closer to the viewpoint hide the polygon. A ``hull`` of shape ``(k, 2)`` is the
+    polygon for all viewpoints.
+    """
     # 1. Find the range of pseudo-angles of each polygon: all directions but the widest gap between its corners. The
     #    gap is at least half a turn, unless the viewpoint is inside. Pseudo-angles, from 0 to 4, begin at the cut of
     #    the viewpoint: the corners' offsets are rotated by minus the cut's angle.
@@ -228,9 +243,10 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Return a table of viewpoints of several tables, before or after the change.
+    """Assemble the visibility table after a change from viewpoints of several tables.
 
-    Each part is a table, the viewpoints to take from it, and their indices in the result.
+    Each entry of ``parts`` has three items: a table from before or after the change, the indices of the viewpoints to
+    take from this table, and the indices that these viewpoints get in the result.
     """
     # 1. Copy the viewpoints, and find the rows of their intervals in the result.
     num_views = sum(len(views) for _, views, _ in parts)

@@ -1,8 +1,8 @@
 """Arrays of convex polygons (*pieces*): clipping, areas, and extremes of differences of distance functions on them.
 
-Coordinates are stored as ``(2, pieces, corners)``, corners counterclockwise; shorter pieces repeat their last corner.
-A *cone* is the function ``offset + |x - apex|``: the length of a path from ``x`` straight to ``apex``, and on from
-there by a path of length ``offset``.
+Coordinates are stored as ``(2, pieces, corners)``, with corners counterclockwise. Pieces with fewer corners repeat
+their last corner. A *cone* is the function ``offset + |x - apex|``: the length of a path from ``x`` straight to
+``apex``, and on from there by a path of length ``offset``.
 """
 
 from typing import TypeAlias
@@ -26,7 +26,7 @@ ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clippi
 def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
     """Return the part of each convex polygon where a linear function is at least 0.
 
-    The function has the values ``height`` at the corners, one of which must be at least 0.
+    The function's values at the corners are ``height``; for each polygon, the largest value must be at least 0.
     """
     # 1. Column 2 k of a row stands for corner k, and column 2 k + 1 for the point where the function is 0 on the edge
     #    from corner k to the next one. Keep corners inside, but no repeated ones, and the points on edges that cross.
@@ -52,7 +52,7 @@ def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
 
 
 def centers(pieces: Pieces) -> Vectors:
-    """Return the mean of each piece's distinct corners, a point inside."""
+    """Return the mean of the distinct corners of each convex polygon, a point inside the polygon."""
     differs = (pieces != np.roll(pieces, 1, axis=2)).any(axis=0)  # each corner from the one before
     differs[~differs.any(axis=1)] = True  # a single point: all corners are equal
     return ((pieces * differs).sum(axis=2) / differs.sum(axis=1)).T
@@ -93,9 +93,10 @@ def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float
 
 
 def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.ndarray, "2 some room"], Some, Some]:
-    """Intersect all polygons with all boxes; return parts of positive area, and the box and polygon of each.
+    """Intersect all convex polygons with all boxes, and return the intersections of positive area.
 
-    Parts are sorted by box, then by polygon.
+    Also return, for each intersection, the index of its box and the index of its polygon. The intersections are
+    sorted by box, then by polygon.
     """
     # 1. Find the pairs of a box and a polygon whose bounding box overlaps the box.
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
@@ -138,7 +139,10 @@ def highest(values: Values) -> Numbers:
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> Extremes:
-    """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - other_offset - |x - other_apex|``."""
+    """Return the minimum and maximum of the difference of two cones over the points ``x`` of each convex polygon.
+
+    The difference is ``offset + |x - apex| - other_offset - |x - other_apex|``.
+    """
     least, most = np.empty((2, len(offset)))
     is_short = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))  # at most four corners
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_short)), (pieces.shape[2], np.flatnonzero(~is_short))):
@@ -150,7 +154,7 @@ def difference_of_cones(
 
 
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
-    """Return the extremes over each piece of ``|x - apex| - |x - other_apex|``."""
+    """Return minimum and maximum of ``|x - apex| - |x - other_apex|`` over points ``x`` of each convex polygon."""
     # The extremes lie on the boundary. Inside, the gradient, a difference of unit vectors, vanishes only on the line
     # through both apexes, on the rays that lead from one apex away from the other. On such a ray the difference is
     # constant, from the apex (a kink) to the boundary, which so has the same value. On an edge the difference is
@@ -172,7 +176,10 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
 
 
 def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
-    """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - (slope . x + intercept)``."""
+    """Return the minimum and maximum of a cone minus a plane over the points ``x`` of each convex polygon.
+
+    The difference is ``offset + |x - apex| - (slope . x + intercept)``.
+    """
     # The difference is convex, so largest at a corner, and smallest on an edge or at the apex. With u = x - apex, it
     # is |u| - slope . u + at_apex. On an edge, it is smallest where the distance to the apex rises as the plane does.
     # With `along`, the foot of the apex on the edge's line, and `beside`, its distance from the line, this is where
@@ -194,7 +201,10 @@ def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vect
 
 
 def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"], ...]:
-    """Return x and y of corners, x and y of unit edge vectors, and edge lengths, as arrays ``(corners, pieces)``."""
+    """Return, for convex polygons, x and y of corners, x and y of unit edge vectors, and edge lengths.
+
+    Each of the five arrays has shape ``(corners, polygons)``. Edge ``k`` leads from corner ``k`` to the next corner.
+    """
     # 1. Drop the last corners that all pieces repeat.
     x, y = pieces.transpose(0, 2, 1)
     differs = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)

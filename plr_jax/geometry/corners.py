@@ -1,4 +1,4 @@
-"""The corners at which shortest paths turn, what they see, and where paths to one goal turn first."""
+"""The corners at which shortest paths turn, what each corner sees, and where paths to one goal turn first."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
-    """Corners of free space at which shortest paths can turn."""
+    """Corners of the boundary of free space at which shortest paths can turn."""
 
     points: Float[np.ndarray, "corners 2"]
     # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second.
@@ -42,7 +42,11 @@ class ReflexCorners:
         return self.is_tangent_to(corner, self.points[other])
 
     def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls at each corner lie on one side of the line from the corner to a point ``x``."""
+        """Return whether both walls at each corner lie on one side of the line through the corner and a point ``x``.
+
+        Only then can a shortest path turn at the corner on the way from or to ``x``. Up to ``slack``, walls may lie
+        on the other side.
+        """
         # Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         dx, dy = np.moveaxis(x - self.points[corner], -1, 0)
         # Cross products: positive if x is on the left of the wall.
@@ -53,7 +57,8 @@ class ReflexCorners:
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
     """Return the corners at which shortest paths may turn, and the same corners as viewpoints.
 
-    They are reflex vertices and, if paths may squeeze through, contacts.
+    These corners are the reflex vertices of free space and, if ``workspace.squeeze``, the *contacts*: points where
+    obstacles touch, which paths may then cross.
     """
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
@@ -70,7 +75,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners at which shortest paths can turn, what each one sees, and the visibility graph."""
+    """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph."""
 
     corners: ReflexCorners
     views: Viewpoints  # at the corners
@@ -93,9 +98,9 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, " pairs"], seen: Int[np.ndarray, " pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return pairs of corners that see one another along a line tangent to the walls at one of them or both.
+    """Return the pairs of corners that see each other along a line that is tangent to the walls at a corner or both.
 
-    Corner ``view[i]`` sees corner ``seen[i]``.
+    The arguments list what corners see: corner ``view[i]`` sees corner ``seen[i]``. Each pair is returned once.
     """
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
@@ -110,7 +115,10 @@ def mutually_visible_pairs(
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, " vertices"]:
-    """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn there."""
+    """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn at the vertex.
+
+    ``views`` are the corners at which paths can turn.
+    """
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
@@ -137,20 +145,24 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Vectors along the right and along the left side of each cone; 0 if the cone is the whole plane."""
+        """Vectors along the right side and along the left side of each cone; 0 if the cone is the whole plane."""
         #     left side \      / right side
         #                \cone/
         #                 \  /
         #                  c
-        # The inward normal of the right side is the vector along this side, turned left; that of the left side is
-        # turned right. A cone is narrower than half the plane, so the right side's normal is counterclockwise of the
-        # left side's normal: if cross(first, second) >= 0, `second` belongs to the right side.
+        # The inward normal of the right side is the vector along this side, turned left. The inward normal of the
+        # left side is the vector along that side, turned right. A cone is narrower than half the plane, so the right
+        # side's normal is counterclockwise of the left side's normal: if cross(first, second) >= 0, `second` belongs
+        # to the right side.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return lengths of paths from each point by each corner to the goal; NaN outside the corner's cone."""
+        """Return the length of the path from each point straight to each corner, and on to the goal.
+
+        The length is NaN if the point lies outside the corner's cone. Visibility is not tested.
+        """
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -159,7 +171,11 @@ class TurnPoints:
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
-        """Return the first corner on each point's shortest path with a turn (-1: no path), and the path's length."""
+        """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
+
+        Corners are given by their indices in ``vertex``. ``sees(i, corner)`` tests whether point ``i`` sees a corner.
+        Without a path, the corner is -1 and the length ``inf``.
+        """
         turn, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
@@ -172,7 +188,11 @@ def find_turn_points(
     parents: Int[np.ndarray, " vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return the corners at which shortest paths may first turn; ``vertices`` are goals, then corners."""
+    """Return the corners at which shortest paths to a goal may turn first.
+
+    ``vertices`` are the ``num_goals`` goals, then all corners. ``distances`` are the distances from vertices to the
+    nearest goal, and ``parents`` the index of the next vertex on each shortest path to a goal.
+    """
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     #
     #                                 . onward, to the goal
@@ -208,7 +228,7 @@ def find_turn_points(
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """The corners where paths to a goal may turn first, listed for each triangle of free space."""
+    """Lists, one for each triangle of free space, of the corners where paths from there to a goal may turn first."""
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -216,12 +236,17 @@ class TurnRegions:
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
-        """Return the first turn of each point's shortest path with a turn (-1: no path), and its length."""
+        """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
+
+        Corners are given by their indices in ``turns.vertex``. ``sees(i, corner)`` tests whether point ``i`` sees a
+        corner. ``places`` are the points ``x``, located in the triangulation. Without a path, the corner is -1 and
+        the length ``inf``.
+        """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
         point, first, triangle = triangles_at(self.triangulation, places)
-        # 2. The candidates of a point are the turns that its triangles list. The point's path has the candidate of
-        #    least path length among those that the point sees.
+        # 2. The candidates of a point are the turns that its triangles list. The point's path turns first at the
+        #    candidate of least path length among the candidates that the point sees.
         num_listed = self.first[triangle + 1] - self.first[triangle]
         counts = np.diff(np.append(0, np.cumsum(num_listed))[first])
         for part in parts(counts, _PAIRS):
@@ -242,7 +267,10 @@ class TurnRegions:
 
 
 def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]) -> TriangleLists:
-    """List the viewpoints that see each triangle, given pairs (viewpoint, triangle), some of which may repeat."""
+    """List the viewpoints that see each triangle, given all pairs (viewpoint, triangle); a pair may repeat.
+
+    The result is ``(first, view)``: triangle ``t`` is seen by the viewpoints ``view[first[t] : first[t + 1]]``.
+    """
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
@@ -252,10 +280,10 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
-    """Return the points that are not at a vertex, and the triangles that contain each: one, or two beside a side.
+    """Return the triangles that contain each point, as arrays ``(point, first, triangle)``.
 
-    The ``i``-th point of the result is in the triangles from place ``first[i]`` up to ``first[i + 1]`` of the list,
-    where ``first`` is the second array, and the list the third.
+    Point ``point[i]`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on
+    the side between them. Points at vertices are left out.
     """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3

@@ -19,14 +19,14 @@ _CHUNK = 1 << 18  # lengths computed at a time
 # A visibility test: given indices of points and of candidates for the first vertex of a path, return whether each
 # point sees its candidate.
 Sees: TypeAlias = Callable[[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
-# The candidate of each point, -1 for none, and the length of the path.
+# For each point: the first vertex of its shortest visible path (-1: no path), and the path's length (inf: no path).
 FirstVisible: TypeAlias = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
 VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]  # several for each point
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points, whose edges have lengths."""
+    """An undirected graph with points as vertices, and edges that have lengths."""
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
@@ -39,13 +39,16 @@ class Graph:
 
     @cached_property
     def adjacency(self) -> csr_array:
-        """Edge lengths as a symmetric sparse matrix; a stored 0 is an edge of length 0."""
+        """The graph as a symmetric sparse matrix of edge lengths; a stored entry 0 is an edge of length 0."""
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
         ends = np.concatenate([self.edges, self.edges[:, ::-1]])
         return coo_array((np.tile(self.lengths, 2), tuple(ends.T)), shape=(len(self.vertices),) * 2).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
-        """Return the graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, edges with their length as ``weight``."""
+        """Return the graph as a NetworkX graph.
+
+        Nodes are ``0, 1, ...``, with coordinates in their attribute ``pos``. Edges have their length as ``weight``.
+        """
         import networkx  # slow to import, and needed only here
 
         graph = networkx.Graph()
@@ -57,13 +60,19 @@ class Graph:
 def dijkstra(
     graph: Graph, source: int | Int[np.ndarray, " sources"]
 ) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " v"]]:
-    """Return each vertex's distance from the nearest source (``inf``: no path) and predecessor (negative: none)."""
+    """Return the distance of each vertex from the nearest source vertex, and its predecessor on the shortest path.
+
+    Without a path the distance is ``inf``. The predecessor of a source, and of a vertex without a path, is negative.
+    """
     several = np.ndim(source) > 0
     return sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
 
 
 def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.ndarray, " d"], vertex: int) -> Points:
-    """Return the path from ``start`` straight to ``vertex``, then along ``parents`` to the root; no point repeats."""
+    """Return the path from ``start`` straight to a vertex, then from each vertex to its parent, until the root.
+
+    ``vertex`` is an index, and so are ``parents``; the root has a negative parent. Repeated points are left out.
+    """
     vertices = [vertex]
     while (parent := int(parents[vertices[-1]])) >= 0:
         vertices.append(parent)
@@ -72,11 +81,14 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
 
 
 def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2) -> VisiblePaths:
-    """Return the first vertices of each point's ``count`` shortest visible paths (-1: too few), and the lengths.
+    """Return the first vertices of each point's ``count`` shortest visible paths, and the lengths of these paths.
 
-    A path from point ``i`` by vertex ``k`` has length ``lengths[i, k]`` (NaN excludes the path), and is visible if
-    ``sees(i, k)``. Visibility is tested in rounds: first of the ``at_once`` shortest paths of each point, or of
-    ``count`` if that is more, then of ``2 * at_once`` times as many paths in each round.
+    The path from point ``i`` through the first vertex ``k`` has the length ``lengths[i, k]``, or NaN if there is no
+    such path. The path is visible if ``sees(i, k)``. If a point has fewer than ``count`` visible paths, the remaining
+    vertices are -1, and the remaining lengths ``inf``.
+
+    Visibility is tested in rounds. The first round tests the ``max(at_once, count)`` shortest paths of each point.
+    Each further round tests ``2 * at_once`` times as many paths as the round before.
     """
     num_ways = lengths.shape[1]
     visible_way, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
@@ -112,7 +124,10 @@ def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int =
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> VisiblePaths:
-    """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` maps a slice to lengths."""
+    """Apply :func:`first_visible` to ``n`` points slice by slice, to save memory.
+
+    ``lengths`` maps a slice of points to the lengths of their ``num_ways`` paths.
+    """
     visible_way, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):
@@ -126,11 +141,12 @@ def first_visible_in_parts(
 def first_visible_ragged(
     lengths: Float[np.ndarray, " pairs"], counts: Int[np.ndarray, " n"], sees: Sees
 ) -> FirstVisible:
-    """Return, for each point, the index of the shortest visible path in ``lengths`` (-1: none), and its length.
+    """Return, for each point, the index in ``lengths`` of its shortest visible path, and the length of this path.
 
-    ``lengths`` has ``counts[0]`` path lengths of the first point, one for each candidate for the path's first vertex;
-    then ``counts[1]`` of the next point, and so on. The array must have no NaN, and is modified in place. The second
-    argument of ``sees`` has indices in ``lengths``.
+    If a point has no visible path, the index is -1 and the length ``inf``. ``lengths`` has the lengths of
+    ``counts[0]`` paths from the first point, then of ``counts[1]`` paths from the second point, and so on, without
+    NaN. ``lengths`` is modified in place. ``sees(i, k)`` tests whether path ``k`` (an index in ``lengths``) of point
+    ``i`` is visible.
     """
     visible_pair, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     # `lengths` and `pair` have ``counts[i]`` paths of point ``pending[i]``. The length of a tested path is inf.

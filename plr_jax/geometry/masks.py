@@ -1,4 +1,4 @@
-"""Conversion of the free pixels of a grid to polygons with holes: exact tracing of outlines, then simplification."""
+"""Conversion of the free pixels of an image to polygons with holes: outlines are traced exactly, then simplified."""
 
 import math
 from dataclasses import dataclass
@@ -27,18 +27,18 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 # 8-connected, and everything outside the grid is blocked.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
-CLEARANCE = 0.25  # pixels that links without a common end keep from one another
+CLEARANCE = 0.25  # pixels: least distance between two segments of simplified outlines that share no end
 Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Outlines of areas of free pixels, as closed rings of corners with the free pixels on the left."""
+    """Outlines of areas of free pixels, as closed rings of vertices with the free pixels on the left."""
 
     points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
     start: Int[np.ndarray, " rings_and_1"]
-    is_contact: Bool[np.ndarray, " n"]  # whether two rings meet at a corner, or one ring twice, between free pixels
+    is_contact: Bool[np.ndarray, " n"]  # whether two diagonal free pixels touch there: rings pass the corner twice
 
 
 def pixel_rings(free: Mask) -> PixelRings:
@@ -69,7 +69,7 @@ def pixel_rings(free: Mask) -> PixelRings:
     along_y = np.empty_like(columns)
     along_y[columns] = columns[other_end]
     # 4. Choose whether a ring leaves a corner along its horizontal or its vertical run. Free space is on the left, so
-    #    rings go right along runs with free pixels above them, and left along the others.
+    #    rings go right along runs with free pixels above them, and left along all other runs.
     is_left_end = np.arange(len(x)) % 2 == 0
     column = x + np.where(is_left_end, 0, -1)  # of the pixels beside the run
     is_free_above = padded[y + 1, column + 1]
@@ -88,7 +88,7 @@ def pixel_rings(free: Mask) -> PixelRings:
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """The points of exact outlines of pixels at which simplified outlines may bend."""
+    """The *stations*: points of exact outlines of pixels at which simplified outlines may bend."""
 
     points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
     ring: Int[np.ndarray, " n"]  # the outline of each point; its first corner is repeated as its last point
@@ -97,7 +97,10 @@ class _Stations:
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """Replace stretches of outlines by straight segments that stay within ``tolerance`` pixels of them."""
+    """Simplify outlines: replace parts of them by straight segments.
+
+    A replaced part is within ``tolerance`` pixels of its segment.
+    """
     # A simplified outline is a chain of *links*, segments between *stations* of the exact outline: its corners, and
     # the middles of the steps of staircases, through which inclined walls are drawn. The longest possible links are
     # taken greedily (Imai and Iri, "Polygonal approximations of a curve", 1988). Links that come near others or
@@ -125,7 +128,10 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
-    """Return the stations of outlines, and whether two outlines, or one twice, meet at each of them."""
+    """Return the points of outlines at which simplified outlines may bend, called *stations*.
+
+    Also return, for each station, whether it is a contact: a point where two diagonal free pixels touch.
+    """
     # A ring r of k corners has 2 k + 1 stations before middles are dropped. If its first corner is number n of all
     # rings' corners, its corners are the stations of_corner = 2 n + r, 2 n + r + 2, ... The last repeats the first:
     #
@@ -170,7 +176,12 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
-    """Return the farthest later station to which a link from each station may go."""
+    """Return, for each station, the index of the farthest later station to which a straight link is allowed.
+
+    Stations are the points of the exact outlines at which simplified outlines may bend. A link is a segment that
+    replaces the outline between two stations. A link is allowed if all corners of the outline between the two
+    stations are within ``tolerance`` pixels of the link, and none is a contact (where diagonal free pixels touch).
+    """
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
     # A corner at distance d allows directions up to arcsin(tolerance / d) from its own, or all if d is within the
@@ -208,9 +219,10 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
 
 
 def _unwanted_links(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> list[list[int]]:
-    """Return the links that come near others or surround another ring, but none along the exact outline.
+    """Return the links that come too near to other links, or cut off another ring, as pairs of station indices.
 
-    Links join consecutive kept stations of a ring, and are given by their first and last station.
+    Stations are points of the exact outline. A link is the segment between two consecutive stations of a ring for
+    which ``is_kept`` is True. Links along the exact outline are never returned.
     """
     kept = np.flatnonzero(is_kept)
     links = np.stack([kept[:-1], kept[1:]], axis=1)
@@ -225,7 +237,10 @@ def _unwanted_links(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolera
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
-    """Return which segments come within ``CLEARANCE`` pixels of another segment, elsewhere than at a common end."""
+    """Return which segments come within ``CLEARANCE`` pixels of another segment.
+
+    Segments with a common end are near if the other end of one is within ``CLEARANCE`` of the other segment.
+    """
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
@@ -242,7 +257,10 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, " m"]:
-    """Return which links enclose another outline, together with the part of their outline that they replace."""
+    """Return whether each link, together with the part of the outline that it replaces, encloses another outline.
+
+    Link ``i`` is the segment from station ``first[i]`` to station ``last[i]`` of one outline.
+    """
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     ring_start = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -254,7 +272,11 @@ def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
-    """Check a mask, and return its free pixels as a simplified Shapely region in workspace units, without specks."""
+    """Check a mask and the options of ``Workspace.from_mask``, and return the free pixels as a Shapely MultiPolygon.
+
+    The result is in workspace units. Its outlines are simplified to ``tolerance`` pixels, and components of at most
+    ``drop_specks`` pixels are removed.
+    """
     # 1. Check the arguments.
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
@@ -279,13 +301,17 @@ def placed_region(
 
 
 def rounded_one_by_one(region: Any, grid: float) -> Any:
-    """Round each vertex of a region of pixels to a multiple of ``grid``, much smaller than a pixel."""
-    # No edges meet, since they are a quarter of a pixel apart.
+    """Round each vertex of a Shapely region made of pixels to a multiple of ``grid``, much smaller than a pixel."""
+    # Rounding makes no two edges meet, since they are a quarter of a pixel apart.
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
-    """Raise a ``ValueError`` if coordinates of pixels overflow, or a pixel is not much larger than their rounding."""
+    """Raise a ``ValueError`` if coordinates of pixels are too large, or pixels too small for the rounding errors.
+
+    ``shape`` is the number of rows and columns, ``resolution`` the side of a pixel, and ``origin`` the largest
+    absolute coordinate of the origin.
+    """
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:
@@ -329,7 +355,10 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:
-    """Remove components of at most ``num_pixels`` pixels: blocked ones (8-connected), then free ones."""
+    """Remove small components, of at most ``num_pixels`` pixels: first blocked components, then free components.
+
+    Blocked pixels are 8-connected, free pixels 4-connected.
+    """
     for value, structure in ((False, np.ones((3, 3), bool)), (True, None)):
         label = _labels(free == value, structure)
         is_small = np.bincount(label.ravel()) <= num_pixels
@@ -346,8 +375,11 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
-    """Split rings where they touch themselves; return Shapely rings, and for each the index of its original."""
-    # 1. Number the loop of each point. The first loop of a ring has the ring's number, the others get new ones.
+    """Split rings where they touch themselves, and return the loops as Shapely rings.
+
+    Also return, for each loop, the index of the ring from which it was split.
+    """
+    # 1. Number the loop of each point. The first loop of a ring has the ring's number, its other loops get new ones.
     num_loops = len(rings.start) - 1
     ring = np.repeat(np.arange(num_loops), np.diff(rings.start))
     loop, order = ring.copy(), np.arange(len(rings.points))
@@ -366,7 +398,10 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, " n"]) -> list[list[int]]:
-    """Split a ring at corners that it passes twice, where free pixels touch; return each loop's point indices."""
+    """Split a ring of ``points`` into loops at contacts: points that the ring passes twice.
+
+    Return the indices of each loop's points.
+    """
     # Follow the ring. When the path comes to a contact on it again, cut off the loop since then. `place` has the
     # index in `path` of each contact on it.
     loops, path, place = [], [], {}

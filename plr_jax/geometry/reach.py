@@ -1,6 +1,7 @@
-"""Tests of which boxes hold points that reach a goal, and which hold *cut-off* points: free points that do not.
+"""Tests whether boxes contain points that *reach* a goal, or *cut-off* points.
 
-``Workspace.reach`` makes exact tests for polygons, ``reach_of_cells`` for the cells of a grid.
+A point reaches the goal if a free path leads from the point to the goal. A free point without such a path is cut off.
+``Workspace.reach`` makes exact tests for polygons, ``reach_of_cells`` makes tests for the cells of a grid.
 """
 
 from collections.abc import Callable
@@ -22,12 +23,16 @@ BoxTest: TypeAlias = Callable[[Fractions, Fractions], Bool[np.ndarray, " boxes"]
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Tests of boxes, given by their corners ``lo`` and ``hi``, from 0 to 1 along each axis of a domain.
+    """Tests of boxes in a domain. Each test returns a bool for each box.
+
+    Boxes are given by their lower corners ``lo`` and upper corners ``hi``, ``(boxes, dim)``, as fractions of the
+    domain: from 0 to 1 along each axis.
 
     Attributes:
-        reached: Whether boxes hold points that reach the goal.
-        cut_off: Whether boxes hold cut-off points: free points that do not reach the goal.
-        far: Whether boxes hold cut-off points that are farther than 1/64 of the domain from all that reach the goal.
+        reached: Whether each box holds a point that reaches the goal.
+        cut_off: Whether each box holds a cut-off point: a free point from which no free path leads to the goal.
+        far: Whether each box holds a cut-off point farther than 1/64 from all points that reach the goal, where 1 is
+            the width of the domain along each axis. For a grid of cells: whether the box may hold such a point.
     """
 
     reached: BoxTest
@@ -35,24 +40,31 @@ class Reach:
     far: BoxTest
 
     def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether boxes hold cut-off points, and no point that reaches the goal, not even by rounding."""
+        """Return whether each box holds a cut-off point, but no point that reaches the goal.
+
+        The second test takes a slightly larger box, because a query rounds points.
+        """
+        # Rounding may place points just outside of a box inside.
         holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
         holds[holds] = ~self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
         return holds
 
     def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether boxes hold points that reach the goal, and cut-off points far from all such points."""
+        """Return whether each box holds a point that reaches the goal, and also passes the test ``far``.
+
+        The result is False for boxes with a diagonal of at most 1/64, in fractions of the domain.
+        """
         holds = self.far(lo + _SHRUNK, hi - _SHRUNK) & (np.linalg.norm(hi - lo, axis=1) > FAR)
         holds[holds] = self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
         return holds
 
     def holds_reached(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether points inside of boxes reach the goal."""
+        """Return whether the interior of each box holds a point that reaches the goal."""
         return self.reached(lo + _SHRUNK, hi - _SHRUNK)
 
     def cut_off_fraction(self, dim: int) -> float:
-        """Return roughly which share of free space is cut off."""
-        # Count the boxes of a lattice that hold reached points, and those that hold cut-off points.
+        """Estimate the share of free space that is cut off, from 0 to 1, in a domain of ``dim`` dimensions."""
+        # Count the boxes of a lattice that hold reached points, and the boxes that hold cut-off points.
         num = round(_NUM_BOXES ** (1 / dim))
         lo = np.array(list(product(range(num), repeat=dim))) / num
         reached = np.count_nonzero(self.reached(lo, lo + 1 / num))

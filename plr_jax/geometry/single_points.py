@@ -1,7 +1,8 @@
 """Location and visibility of single points, in plain Python.
 
-A query of one point is ten times faster in Python floats than in NumPy. Where rounding could matter, the functions
-for batches decide; elsewhere, both use the same arithmetic. So both give results that are equal to the bit.
+A query of one point is ten times faster in Python floats than in NumPy. Where rounding could matter, this module
+leaves the answer to the functions for batches. Elsewhere it uses the same arithmetic as these functions, so the
+results for a point and for a batch are equal to the bit.
 """
 
 from bisect import bisect_right
@@ -15,8 +16,10 @@ from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable
 
-FEW = 32  # largest batch that is answered point by point: on the maze and den520d, then half as long as a batch
-# In tolerances: if a segment is farther from all vertices of its triangles, rounding cannot change what it crosses.
+# Largest batch that is answered point by point. On two maps (maze, den520d), 32 points take half as long as a batch.
+FEW = 32
+# A distance, in tolerances. If a segment is farther than this from all vertices of the triangles that it crosses,
+# rounding cannot change which sides it crosses.
 _NEAR = 4
 
 
@@ -29,7 +32,10 @@ class Place(NamedTuple):
     beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
     def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
-        """Join the lists of the triangles ``t`` that contain the point: ``entries[first[t] : first[t + 1]]``."""
+        """Join the lists of the triangles that contain the point.
+
+        The list of triangle ``t`` is ``entries[first[t] : first[t + 1]]``.
+        """
         listed = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
             return listed
@@ -37,7 +43,10 @@ class Place(NamedTuple):
 
 
 class PointLocator:
-    """A point location for one point at a time, without calls of NumPy; see :meth:`Triangulation.place`."""
+    """A locator that finds the triangle of one point at a time, without calls of NumPy.
+
+    For batches of points, use :meth:`Triangulation.place`.
+    """
 
     def __init__(self, triangulation: Triangulation):
         locator = triangulation.locator
@@ -48,7 +57,11 @@ class PointLocator:
         self._grid, self._tolerance = triangulation.grid, triangulation.tolerance
 
     def place(self, x: float, y: float) -> Place | None:
-        """Locate a point; return None outside free space, and if rounding matters: near two sides of a triangle."""
+        """Return the :class:`Place` of the point ``(x, y)``, or None if the function for batches must find it.
+
+        The result is None if the point is outside free space, or so near two sides of a triangle that rounding
+        matters.
+        """
         # 1. Find the cell of the locator's grid.
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
@@ -71,7 +84,11 @@ class PointLocator:
         return [a * x + b * y - c, d * x + e * y - f, g * x + h * y - i]
 
     def _place_near_side(self, x: float, y: float, half_edge: int) -> Place | None:
-        """Decide exactly on which side of a half-edge a point lies, or on both; None if it is near another side."""
+        """Return the place of the point ``(x, y)`` near a half-edge: on its left, on its right, or exactly on it.
+
+        The result is None if the point is outside free space, or also near another side of the triangle across the
+        half-edge. ``half_edge`` is an index in the triangulation.
+        """
         triangle, twin = half_edge // 3, self._twin[half_edge]
         beyond = twin // 3 if twin >= 0 else triangle
         if twin >= 0 and sorted(self._heights(beyond, x, y))[1] <= self._tolerance:
@@ -86,7 +103,7 @@ class PointLocator:
         return Place(x, y, triangle, beyond if side == 0 else triangle)
 
     def is_free_segment(self, start: Place, end: Place) -> bool | None:
-        """Return whether the segment between two points is free; None if it passes too near a vertex to tell."""
+        """Return whether the segment between two points is free, or None if it passes too near a vertex to tell."""
         if start.triangle == end.triangle:
             return True
         # Let d be the segment's vector. The cross product of d and a corner's offset from the start is positive on
@@ -114,7 +131,10 @@ class PointLocator:
 
 
 class PointSight:
-    """A sight test of one viewpoint and one place at a time, mostly without calls of NumPy."""
+    """A test whether a viewpoint of a visibility table sees a :class:`Place`, mostly without calls of NumPy.
+
+    Each call tests one viewpoint and one place.
+    """
 
     def __init__(self, table: VisibilityTable):
         boundary = table.boundary
@@ -124,7 +144,7 @@ class PointSight:
         self._normal, self._offset = _flat(boundary.normal), _flat(boundary.offset)
 
     def sees(self, view: int, place: Place) -> bool:
-        """Return whether a viewpoint sees a place, with the same result as :meth:`VisibilityTable.sees`."""
+        """Return whether the viewpoint of index ``view`` sees a place, as :meth:`VisibilityTable.sees` does."""
         # 1. Find the key of the direction, 4 view + pseudo_angle(u, v), and its interval in the table.
         i, keys, x, y = 2 * view, self._key, place.x, place.y
         dx, dy, cx, cy = x - self._points[i], y - self._points[i + 1], self._cut[i], self._cut[i + 1]
@@ -144,7 +164,10 @@ class PointSight:
 
 
 class CornerSight(PointSight):
-    """A test of one corner and one place at a time: whether a shortest path can turn there."""
+    """A test whether a shortest path from a :class:`Place` can turn at a corner, mostly without calls of NumPy.
+
+    Each call tests one corner and one place.
+    """
 
     def __init__(self, visibility: CornerVisibility):
         super().__init__(visibility.table)
@@ -152,7 +175,11 @@ class CornerSight(PointSight):
         self._opens, self._closes = map(_flat, visibility.corners.walls)
 
     def may_turn(self, corner: int, place: Place) -> bool:
-        """Return whether a shortest path from a place may turn at a corner: it is tangent there, and seen."""
+        """Return whether a shortest path from a place may turn at the corner of index ``corner``.
+
+        The path may turn there if the segment from the place to the corner is free, and both walls at the corner lie
+        on one side of the line through the segment.
+        """
         i, slack = 2 * corner, self._slack
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]
         opens = self._opens[i] * dy - self._opens[i + 1] * dx

@@ -30,7 +30,10 @@ TriangleLists: TypeAlias = tuple[Int[np.ndarray, " triangles_plus_one"], Int[np.
 
 @dataclass(frozen=True, eq=False)
 class Locator:
-    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``."""
+    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
+
+    Cells are numbered column by column.
+    """
 
     lo: Float[np.ndarray, "2"]
     width: Float[np.ndarray, "2"]
@@ -40,9 +43,11 @@ class Locator:
     lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return each point's triangle, or a nearby one (-1: none), and its least signed distance to a side's line.
+        """Return the index of the triangle that contains each point, and a signed distance.
 
-        The distance is negative outside of the triangle. It may have a wrong sign by rounding.
+        The distance is the least of the point's distances from the lines through the three sides of the triangle. It
+        is positive inside the triangle, up to rounding. If no triangle contains the point, the result is a nearby
+        triangle with a negative distance, or -1 and ``-inf`` if the grid cell of the point meets no triangle.
         """
         column, row = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int).T
         cell = column * self.shape[1] + row
@@ -87,7 +92,7 @@ class Triangulation:
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, " edges"]:
-        """The half-edge along each edge of the boundary."""
+        """Index of the half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -95,7 +100,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
-        """A grid of about as many cells as triangles, with the triangles that each cell meets, to locate points."""
+        """A grid to locate points, with about as many cells as there are triangles."""
         # 1. Divide the bounding box into nearly square cells.
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
@@ -117,7 +122,7 @@ class Triangulation:
 
     @cached_property
     def grid(self) -> float:
-        """Spacing of the grid to which vertices, and points that are to be located, are rounded."""
+        """Spacing of the grid to which vertices and located points are rounded."""
         return grid_at(self.tolerance)
 
     def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
@@ -126,10 +131,11 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, " n"] | None = None
     ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-        """Return each point's triangle, and on which side of the triangle's three edges the point lies.
+        """Return the index of the triangle that contains each point, and on which side of the three edges it lies.
 
-        The side is 1 inside, 0 on the edge's line, and -1 outside. Points must be multiples of ``grid``. A point
-        outside the region gets a nearby triangle, with a -1. ``triangle`` has first guesses.
+        The side is 1 if the point is inside an edge of the triangle, 0 on the line through the edge, and -1 outside.
+        A point outside the region gets a nearby triangle, and -1 for one edge or more. Coordinates must be multiples
+        of ``grid``. The search begins at the triangles ``triangle``; if None, this method chooses where to begin.
         """
         # 1. Choose the triangles at which walks begin. Points far inside a triangle of the locator need no walk.
         turn = np.ones((len(x), 3))
@@ -159,7 +165,11 @@ class Triangulation:
         return triangle, turn
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
-        """Round points to ``grid`` and locate them; points outside the region move onto the nearest wall."""
+        """Round points to ``grid`` and locate them.
+
+        A point outside the region moves to the nearest wall, or a few grid steps inside it. A point within the
+        tolerance of a vertex where the region touches itself moves to this vertex.
+        """
         boundary = self.boundary
         placed = self.on_grid(x)
         triangle, turn = self.locate(placed)
@@ -189,9 +199,10 @@ class Triangulation:
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, " n"]:
-        """Return whether a free path within ``tolerance`` of the segment from ``a`` to ``b`` joins the two points.
+        """Return whether a free path joins each point of ``a`` to the point of ``b`` in the same row.
 
-        The path may pass through contacts on the segment; without ``squeeze``, only where the segment begins or ends.
+        The path must stay within ``tolerance`` of the straight segment. It may pass through *contacts*, points where
+        the region touches itself. Without ``squeeze``, it may pass only contacts at an end of the segment.
         """
         # Breadth-first search of triangles, for all segments at once: state pair * num + triangle. The neighbors of a
         # level lie in this level, the one before, or the next one, so only two levels are remembered.
@@ -242,7 +253,10 @@ def previous_half_edge(half_edge: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"
 
 
 def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
-    """Return the constrained Delaunay triangulation of a region; raise ``ValueError`` if its walls cross."""
+    """Return the constrained Delaunay triangulation of the region with the given boundary.
+
+    ``ValueError`` if edges of the boundary cross. Points up to ``tolerance`` outside the region will count as inside.
+    """
     # Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
     # 1. Add four vertices far outside, so that every vertex of the region is surrounded by triangles.
     lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
@@ -287,7 +301,7 @@ def _missing_edges(triangles: Triangles, edges: Edges, num_vertices: int) -> Int
 
 
 class _Mesh:
-    """An editable triangulation: for each directed edge, the third vertex of the triangle on its left."""
+    """An editable triangulation: a map from each directed edge to the third vertex of the triangle on its left."""
 
     def __init__(self, points: list[tuple[int, int]], triangles: Triangles):
         self.points = points
@@ -296,7 +310,7 @@ class _Mesh:
         self.neighbor = dict(self.apex.keys())  # for each vertex, the end of an edge that starts there
 
     def insert(self, start: int, end: int) -> None:
-        """Insert an edge between two vertices. Edges that cross it are lost, even walls."""
+        """Insert an edge between two vertices, given by index, and remove all edges that cross it, even walls."""
         #          left --- ahead        The new edge crosses the edge from left to right. If the vertex ahead lies on
         #         /    \   /    \        its left, as here, the next crossed edge leads from ahead to right, else from
         #    start - - -\-/- - - end     left to ahead.
@@ -319,7 +333,7 @@ class _Mesh:
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
-        """Fill the polygon ``start``, ``end``, ``*chain``, counterclockwise, with Delaunay triangles."""
+        """Triangulate the polygon with the counterclockwise vertices ``start``, ``end``, ``*chain`` (Delaunay)."""
         #            apex             The apex of the edge's Delaunay triangle is the vertex of the chain whose circle
         #     chain  /  \  chain      through start and end contains no other one. The triangle leaves two smaller
         #    after  /    \  before    polygons, each with one of its edges and a part of the chain.
@@ -356,7 +370,10 @@ class _Mesh:
 
 
 def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
-    """Return ``origin``, ``twin`` and ``wall`` of the :class:`Triangulation` of triangles on the free side."""
+    """Return the half-edges of the triangles in free space, which is on the left of the walls ``edges``.
+
+    The three results are the fields ``origin``, ``twin`` and ``wall`` of :class:`Triangulation`.
+    """
     # 1. Find the wall along each half-edge that has the wall's direction, so that free space is on its left.
     half_edges = _half_edges(triangles)
     key, opposite = (_edge_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))

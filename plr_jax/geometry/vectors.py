@@ -19,7 +19,10 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
 
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
-    """Return 2-D cross products, with exact signs if coordinates are 45-bit integers times a common power of two."""
+    """Return the cross products ``ux * vy - uy * vx`` of vectors ``(ux, uy)`` and ``(vx, vy)``.
+
+    The signs are exact if all coordinates are 45-bit integers times a common power of two.
+    """
     # Rounding of the products p and q may change the sign of p - q if they are nearly equal. Then add their rounding
     # errors: the exact result is (p + error of p) - (q + error of q).
     # Dekker, "A floating-point technique for extending the available precision" (1971).
@@ -33,7 +36,10 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
 
 
 def _product_error(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return the exact product minus the rounded one, from products of the factors' halves, which are exact."""
+    """Return the exact product of ``a`` and ``b`` minus its rounded value ``a * b``.
+
+    Each factor is split into two halves of few bits, whose products have no rounding error.
+    """
     high_a, high_b = (_SPLIT * factor - (_SPLIT * factor - factor) for factor in (a, b))
     low_a, low_b = a - high_a, b - high_b
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
@@ -48,7 +54,10 @@ def left_normal(u: Vectors) -> Vectors:
 
 
 def pseudo_angle(dx: Batch, dy: Batch) -> Batch:
-    """Map directions to [0, 4], growing with the angle, but faster to compute; the zero vector gives 0."""
+    """Map directions ``(dx, dy)`` to numbers in [0, 4] that grow with the angle, but are faster to compute.
+
+    The number is 0 along the x axis and 1 along the y axis; the zero vector has 0.
+    """
     length = np.abs(dx) + np.abs(dy)
     # The slant falls from 1 at angle 0 to -1 at angle pi, and rises again.
     slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
@@ -83,9 +92,11 @@ def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batc
 def arc(
     center: Vector, start: Vector, end: Vector, num_chords: int | np.integer, outside: bool = False
 ) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of the arc, counterclockwise, from ``center + start`` to ``center + end``.
+    """Divide an arc into equal chords, and return the points where they begin and end.
 
-    If ``outside``, return the corners of the polyline of the tangents at these points.
+    The arc leads counterclockwise from ``center + start`` to ``center + end``. If ``outside``, return instead the
+    vertices of a polyline outside the arc with the same ends. Its edges lie on the tangents of the arc at the ends of
+    the chords.
     """
     # At angle a from `start`, the offset from the center is cos(a) start + sin(a) (start turned left).
     turn = turn_between(start, end)

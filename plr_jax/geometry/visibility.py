@@ -1,7 +1,7 @@
 """Visibility polygons of many viewpoints, computed by triangular expansion and stored in one sorted table.
 
-Within an interval of directions from a viewpoint, the same edge is nearest. So a visibility polygon is a sorted list
-of directions, each with the nearest edge of the interval that starts there.
+The directions from a viewpoint are divided into intervals. Within an interval, the same edge of the boundary is
+nearest. A visibility polygon is stored as the sorted directions at which intervals start, each with its nearest edge.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,7 +36,10 @@ Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points that look in all directions or, on walls, only into *sectors*, directions between two walls."""
+    """Points from which visibility is computed, in all directions or, on walls, only within *sectors*.
+
+    A sector is a range of directions between two walls.
+    """
 
     points: Vectors
     owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
@@ -49,7 +52,10 @@ class Viewpoints:
         return Viewpoints(self.points[rows], place[self.owner[is_kept]], self.edge[is_kept])
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the viewpoint along the right wall of each sector (range of directions)."""
+        """Return, for each sector, the vector from the viewpoint to the far end of the wall on the sector's right.
+
+        A sector is a range of directions between two walls.
+        """
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
@@ -59,12 +65,15 @@ class Viewpoints:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, " sectors"]:
-        """Return the vertex at the far end of each sector's left wall (sector: directions between two walls)."""
+        """Return, for each sector, the index of the vertex at the far end of the wall on the sector's left.
+
+        A sector is a range of directions between two walls.
+        """
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
 def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
-    """Return points of free space, which must be distinct, as viewpoints; they are rounded to the grid."""
+    """Return distinct points of free space as viewpoints, rounded to the grid of the triangulation."""
     boundary, places = triangulation.boundary, triangulation.place(x)
     # A point at a vertex owns the sectors of all edges that start there. A point inside of a wall owns one sector.
     starts = boundary.vertices[boundary.edges[:, 0]]
@@ -77,7 +86,7 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight, from viewpoints through sides of triangles."""
+    """Cones of sight: ranges of directions in which a viewpoint sees through a side of a triangle."""
 
     view: Indices  # the viewpoint at each cone's apex
     half_edge: Indices  # through which each cone leaves a triangle
@@ -98,13 +107,13 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Return pairs (viewpoint, triangle): a part of the triangle is visible within the viewpoint's directions.
+    """Return the pairs of a viewpoint and a triangle of which the viewpoint sees a part, as indices.
 
-    Viewpoint ``i`` looks counterclockwise from unit vector ``right[i]`` to ``left[i]``, at most half a turn. Zero
-    vectors stand for all directions.
+    Viewpoint ``i`` looks only into the directions counterclockwise from the unit vector ``right[i]`` to ``left[i]``,
+    at most half a turn. Zero vectors stand for all directions. Pairs may repeat.
     """
     # 1. Widen these ranges by the angle of the tolerance at the farthest distance, to allow for rounded directions,
-    #    except those that are half a turn wide up to rounding.
+    #    except ranges that are half a turn wide up to rounding.
     far = np.ptp(triangulation.boundary.vertices, axis=0).max()
     wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
     right = far * right - wider[:, None] * turned_left(right)
@@ -131,7 +140,11 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
 
 
 def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Yield cones that end at walls, and pairs of a viewpoint with a vertex seen and with a triangle visited."""
+    """Let cones of sight advance from triangle to triangle until all end at walls.
+
+    Each step yields the cones that have ended, pairs (viewpoint, visible vertex) and pairs (viewpoint, triangle that
+    a cone enters). Pairs are indices.
+    """
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
         # 1. Cones through walls end. The others go on.
@@ -173,7 +186,7 @@ def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> I
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Return the cones from viewpoints through the sides of their first triangles."""
+    """Return the first cones of sight: from each viewpoint through sides of the triangles that contain it."""
     # 1. Viewpoints without sectors look through all three sides of their triangle.
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)
     triangle, _ = triangulation.locate(views.points[around])
@@ -209,18 +222,21 @@ class VisibilityTable:
     tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
     points: Vectors
     cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
-    first: Int[np.ndarray, " views+1"]  # intervals first[v] to first[v + 1] are those of viewpoint v
+    first: Int[np.ndarray, " views+1"]  # viewpoint v has the intervals from first[v] to first[v + 1] - 1
     key: Float[np.ndarray, " intervals"]  # 4 v plus the pseudo-angle at which an interval starts, ascending
     edge: Int[np.ndarray, " intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
     vertex: Int[np.ndarray, " intervals"]  # in the direction at which an interval starts; -1 at the cut
 
     @property
     def blur(self) -> float:
-        """Upper bound of the rounding errors in ``key``, whose numbers stand for directions."""
+        """Upper bound of the rounding errors in ``key``, the numbers that stand for directions."""
         return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether viewpoint ``v[i]`` sees ``x[i]``; corners that touch the line on both sides block it."""
+        """Return, for each ``i``, whether viewpoint ``v[i]`` sees the point ``x[i]``.
+
+        A line of sight may touch corners on one side. It ends where it has touched a corner on each side.
+        """
         # 1. Find the interval of each direction by its key.
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
@@ -244,9 +260,11 @@ class VisibilityTable:
         return seen
 
     def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
-        """Return the point's side of the ray at which interval ``row`` starts: positive on the left, 0 on the ray.
+        """Return on which side of a ray each point ``x[i]`` lies: positive on the left, 0 on the ray.
 
-        A point is on the left of the cut for the first interval, and on its right for the row after the last one.
+        The ray leads from viewpoint ``v[i]`` in the direction at which interval ``row[i]`` starts. ``key[i]`` is the
+        number that stands for the point's direction. The result is positive for the viewpoint's first interval, and
+        negative for the row after its last interval.
         """
         has_vertex = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
@@ -257,9 +275,10 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each point is on the free side of the line of the edge that bounds the view in its interval.
+        """Return whether each point ``x[i]`` is on the free side of the line through its interval's nearest edge.
 
-        Interval ``row[i]`` is that of point ``x[i]``; False if it has no edge. Near the line the test is exact.
+        The interval has the index ``row[i]``. The result is False if the interval has no edge. Near a line the test
+        is exact.
         """
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
@@ -272,7 +291,7 @@ class VisibilityTable:
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    """Return the table of all viewpoints, one table after the other, of tables for the same boundary."""
+    """Join visibility tables of one boundary into one table, which has the viewpoints of all tables, in order."""
     points, cut, key, edge, vertex = concatenated(tables, "points", "cut", "key", "edge", "vertex")
     first = np.append(0, np.cumsum(np.concatenate([np.diff(table.first) for table in tables])))
     views = np.cumsum([0] + [len(table.points) for table in tables[:-1]])
@@ -281,7 +300,10 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
 
 
 def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
-    """Return the visibility polygons of viewpoints, and pairs (viewpoint, visible vertex), some of which repeat."""
+    """Return the visibility polygons of viewpoints, and pairs (viewpoint, visible vertex) as indices.
+
+    Pairs may repeat.
+    """
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):

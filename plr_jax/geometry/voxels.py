@@ -36,7 +36,11 @@ class VoxelGrid:
 
     @classmethod
     def of(cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = _AXES) -> "VoxelGrid":
-        """Check arguments and return the grid; ``bounds=None`` gives voxels of side 1 from the origin on."""
+        """Check arguments and return the grid.
+
+        ``free`` are booleans ``free[x, y, ...]``, and ``axes`` the allowed numbers of axes. The voxels fill the box
+        ``bounds``; None: voxels of side 1, the first with its lower corner at the origin.
+        """
         number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
         must = f"free must be booleans of {number} axes, free[x, y, ...], True in free voxels, such as volume == 0"
         voxels = as_cells(must, free, lambda shape: len(shape) in axes)
@@ -68,14 +72,14 @@ class VoxelGrid:
 
     @cached_property
     def faces(self) -> list[Float[np.ndarray, "faces"]]:
-        """Coordinates of the faces along each axis, ascending, with ``-inf`` before and ``inf`` after them."""
+        """Coordinates of the faces along each axis, ascending, with ``-inf`` in front and ``inf`` at the end."""
         fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
         inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
         return [np.concatenate([[-np.inf], of_axis, [np.inf]]) for of_axis in inner]
 
     @cached_property
     def padded(self) -> Cells:
-        """``free`` with a layer of blocked voxels around it; voxel numbers, which start at 1, are its indices."""
+        """The array ``free`` with a layer of blocked voxels around it; its indices are voxel numbers."""
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
@@ -84,7 +88,7 @@ class VoxelGrid:
         return np.stack(below), np.stack(above)
 
     def numbers_along(self, axis: int, x: Float[np.ndarray, " n"]) -> tuple[NumbersAlong, NumbersAlong]:
-        """Return the least and largest number, along one axis, of voxels that contain each coordinate."""
+        """Return, for each coordinate along one axis, the least and largest voxel number that contains it."""
         # The quotient is right up to rounding: compare exactly with the faces below and above that voxel.
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
@@ -97,11 +101,17 @@ class VoxelGrid:
         return Sums.of(~self.padded)
 
     def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
-        """Count blocked voxels in ranges from ``first`` to ``last`` along every axis; 0 if ``last < first``."""
+        """Count blocked voxels in ranges of voxel numbers from ``first`` to ``last``, both included, along all axes.
+
+        The count is 0 if ``last < first`` along an axis.
+        """
         return self._blocked.within(first, last)
 
     def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
-        """Shrink each range of voxels to the smallest with the same free voxels; ``last < first`` if it has none."""
+        """Shrink each range of voxel numbers to the smallest range with the same free voxels.
+
+        Ranges include ``first`` and ``last``. For a range without free voxels, ``last < first`` in the result.
+        """
         first, last = first.copy(), last.copy()
         for axis in range(self.dim):
             for moved, inward in ((first, 1), (last, -1)):
@@ -120,12 +130,16 @@ class VoxelGrid:
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, " n"]:
-        """Return whether closed boxes meet an edge or corner where free voxels touch, but no faces join them."""
+        """Return whether each closed box from ``lo`` to ``hi`` meets a contact.
+
+        A contact is an edge or corner around which free voxels are not all connected through common faces.
+        """
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
-            # Across the contact's axes, count the faces from ``lo`` to ``hi``, along the others, open voxels. The
-            # face above voxel k has index k: the first one is above the lowest voxel that contains ``lo``.
+            # Along the contact's normal axes, count the faces from ``lo`` to ``hi``; along all other axes, open
+            # voxels. The face above voxel k has index k: the first face is above the lowest voxel that contains
+            # ``lo``.
             is_across = np.isin(np.arange(self.dim), across)[:, None]
             first, last = np.where(is_across, below_lo, above_lo), np.where(is_across, above_hi - 1, below_hi)
             touches |= contacts.within(first, last) > 0
@@ -133,9 +147,11 @@ class VoxelGrid:
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Edges and corners where free voxels touch, but no faces join them: pairs (normal axes, table of counts).
+        """Contacts: edges and corners around which free voxels are not all connected through common faces.
 
-        A table's index is the number of a voxel along an edge, and of the voxel below the edge or corner across it.
+        Each item is a pair: the axes normal to the contacts, and a table that counts such contacts. Index ``k`` of
+        the table means the face between voxels ``k`` and ``k + 1`` along a normal axis, and voxel ``k`` along any
+        other axis.
         """
         contacts, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
@@ -168,7 +184,10 @@ class Sums:
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
-        """Count the true entries from ``first`` to ``last``, both included, along all axes."""
+        """Count the true entries in each range of indices from ``first`` to ``last``, both included, along all axes.
+
+        The count is 0 if ``last < first`` along an axis. Indices have shape ``(dim, n)``.
+        """
         # Inclusion and exclusion: entry (i, j, ...) of the table counts indices below i, j, ... So add the entries at
         # all corners of the range, with a minus for each lower end.
         begin = first * self.strides[:, None]
@@ -182,7 +201,10 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Flood-fill, in each row of voxels around a point, the ``free`` voxels from the ``live`` ones, across faces."""
+    """Flood-fill across faces, from ``live`` voxels through ``free`` voxels; return which voxels are reached.
+
+    Each row has the ``2**dim`` voxels around one point, and is filled on its own.
+    """
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -196,7 +218,10 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
-    """Return, for each set of the ``2**num_axes`` voxels around a point, whether faces fail to connect the set."""
+    """Return, for each set of voxels around a point, whether common faces fail to connect the set.
+
+    Of the ``2**num_axes`` voxels, a set contains voxel ``i`` if bit ``i`` of its index in the result is set.
+    """
     num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     first = np.zeros_like(free)
@@ -205,7 +230,11 @@ def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
 
 
 def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
-    """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
+    """Return tests whether boxes of ``domain`` contain cells that reach a goal, or free cells that do not.
+
+    The grid of cells fills ``bounds``. ``reached`` is true for cells that reach the goal, ``cut_off`` for free cells
+    that do not. Array axes are coordinate axes.
+    """
     from scipy import ndimage
 
     # 1. Repeat cells along periodic axes, a period more on either side.

@@ -56,8 +56,8 @@ class Workspace:
 
     Coordinates are rounded to a thousandth of ``tolerance``, so walls that touch up to rounding do touch. Walls and
     gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
-    based. Where several thin walls or gaps meet, those thinner than half of ``tolerance`` may vanish; far from the
-    origin, those thinner than twice ``tolerance``.
+    based. Where several thin walls or gaps meet, walls and gaps thinner than half of ``tolerance`` may vanish, or
+    thinner than twice ``tolerance`` if they are far from the origin.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -75,8 +75,9 @@ class Workspace:
         boundary: The boundary of free space as vertices and edges, free space on the left of each edge.
 
     Raises:
-        ValueError: If the bounds are not a valid 2-D box or too far from the origin for their size, an obstacle
-        crosses itself or has no finite coordinates or no area, nothing is free, or walls or gaps are too thin.
+        ValueError: If the bounds are not a valid 2-D box, or too far from the origin for their size. If an obstacle
+            crosses itself, or has no finite coordinates or no area. If nothing is free, or walls or gaps are too
+            thin.
     """
 
     bounds: Box
@@ -111,11 +112,11 @@ class Workspace:
     ) -> "Workspace":
         """Build a workspace whose free space is given as polygons with holes.
 
-        Components are one Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
-        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap, and may
-        reach beyond the outer ring. Free space is the union of the components within the bounds, by default their
-        bounding box. ``ValueError`` if there is no component, a component or the bounds are invalid, or nothing is
-        free.
+        ``components`` is a Shapely polygon, multipolygon or collection; or a list of such geometries and of mappings
+        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap, and may reach
+        beyond the outer ring. Free space is the union of the components within the bounds. By default, the bounds are
+        the bounding box of the components. ``ValueError`` if there is no component, a component or the bounds are
+        invalid, or nothing is free.
         """
         return cls._from_free_space(*components_region(components, bounds), squeeze)
 
@@ -146,7 +147,8 @@ class Workspace:
             row0: ``"bottom"`` if the first row has the lowest ``y``; ``"top"`` if the highest, as in images.
             tolerance: Largest distance, in pixels, between the simplified and the exact outline, either way. Half a
                 pixel makes inclined walls straight; 0 keeps every corner.
-            drop_specks: Blocked components of at most this many pixels become free, then such free ones blocked.
+            drop_specks: Connected components of at most this many pixels are removed: blocked components become free,
+                then free components become blocked.
             squeeze: Whether a path may pass between two obstacles that touch in a single point.
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
@@ -180,7 +182,7 @@ class Workspace:
         return "triangulation" in self.__dict__
 
     def use_triangulation(self, triangulation: Triangulation) -> None:
-        """Set ``triangulation`` to a known one instead of computing it; the triangles must fill free space."""
+        """Use a known triangulation instead of computing one; its triangles must fill free space."""
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
@@ -194,7 +196,7 @@ class Workspace:
 
     @property
     def edge_tree(self) -> shapely.STRtree:
-        """A Shapely ``STRtree`` of the edges of ``boundary`` as lines, numbered as in ``boundary.edges``."""
+        """A Shapely ``STRtree`` of the boundary's edges as line segments, with the indices of ``boundary.edges``."""
         return self.boundary.tree
 
     @cached_property
@@ -202,11 +204,12 @@ class Workspace:
         return triangulate(self.free_space)
 
     def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
-        """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
+        """Move points ``(..., 2)`` of 32-bit floats that lie outside free space only by rounding to its boundary.
 
-        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. In the
-        domain, a point that is not free moves to the nearest free point if that is at most one step of 32 bits away,
-        and any point so near to a contact of obstacles moves there.
+        A step is the spacing of 32-bit floats at the point. A point beyond the domain (by default the bounds) moves
+        as by :meth:`Box.settled`. A point in an obstacle moves to the nearest free point if that is at most one step
+        away. A point within one step of a place where obstacles touch moves to this place. All other points, and
+        points of 64-bit floats, keep their coordinates.
         """
         domain = self.bounds if domain is None else domain
         settled = domain.settled(x)
@@ -226,9 +229,10 @@ class Workspace:
         return settled
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
+        """Return whether points ``(n, 2)`` lie within ``tolerance`` of free space.
 
-        Points not finite or outside the bounds are not free; 32-bit points outside only by rounding are free.
+        Points that are not finite or outside the bounds are not free. Points of 32-bit floats that lie outside only
+        by rounding are free.
         """
         x = as_points("x", self.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
@@ -238,10 +242,10 @@ class Workspace:
         return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
 
     def reachable(self, x: ArrayLike, goal: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether free paths lead from points ``(n, 2)`` to a goal ``(2,)``, to ``tolerance``.
+        """Return whether free paths lead from points ``(n, 2)`` to a goal ``(2,)``.
 
-        The answer is exact: it compares the connected parts of free space that contain the points and the goal. It is
-        False for points that are not free, and for all points if the goal is not free.
+        The answer is exact up to ``tolerance``: it compares the connected parts of free space that contain the points
+        and the goal. It is False for points that are not free, and for all points if the goal is not free.
         """
         x, goal = as_points("x", self.settled(x), 2), as_finite_point("goal", self.settled(goal), 2)
         parts, is_reached = shapely.get_parts(self.free_space), self.is_free(x)
@@ -250,7 +254,10 @@ class Workspace:
         return is_reached & np.isin(np.arange(len(x)), beside)
 
     def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points that reach one of several goals; None if all reach one."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+
+        The result is None if a path leads from every free point to one of the ``goals``.
+        """
         # 1. Find the connected parts of free space that reach a goal.
         parts = shapely.get_parts(self.free_space)
         if len(parts) < 2:
@@ -343,10 +350,11 @@ class Workspace:
     def with_obstacles(self, add: Any = (), remove: Any = ()) -> "Workspace":
         """Return the workspace after obstacles are added and removed.
 
-        Added obstacles, given as for the class, are appended to ``obstacles``. Obstacles to remove are given by
-        indices in ``obstacles``, or by equal rings or Shapely polygons; parts that others cover stay blocked. All
-        obstacles keep their indices: an empty polygon, which scene files leave out, takes the place of a removed one.
-        ``ValueError`` if an added obstacle is invalid, a removed one does not exist (any more), or nothing is free.
+        Obstacles to add are given as for the constructor, and appended to ``obstacles``. Obstacles to remove are
+        given by indices in ``obstacles``, or by equal rings or Shapely polygons. Parts of removed obstacles that
+        other obstacles cover stay blocked. All obstacles keep their indices: an empty polygon, which scene files
+        leave out, replaces a removed obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove
+        does not exist (any more), or nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)
@@ -369,7 +377,7 @@ class Workspace:
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
-        """Return the numbers of the obstacles that ``remove`` names, by number or by an equal polygon."""
+        """Return the indices in ``obstacles`` of the items of ``remove``, which are indices or equal polygons."""
         numbers: set[int] = set()
         if not isinstance(remove, BaseGeometry | Iterable):
             raise ValueError(f"remove must be a list of obstacle numbers or polygons, got {shortened(remove)}.")
@@ -406,13 +414,20 @@ class Workspace:
 def joined_parts(
     parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
 ) -> Bool[np.ndarray, " parts"]:
-    """Return which polygons hold one of the points, or touch such polygons if paths may squeeze through contacts."""
+    """Return whether each polygon of ``parts`` comes within ``tolerance`` of one of the points.
+
+    If ``may_squeeze``, the result is also True for every polygon that a chain of touching polygons joins to such a
+    polygon.
+    """
     places, group = np.asarray(shapely.points(points)), part_groups(parts, may_squeeze)
     return np.isin(group, group[shapely.STRtree(parts).query(places, predicate="dwithin", distance=tolerance)[1]])
 
 
 def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, " parts"]:
-    """Number polygons equally that touch one another if paths may squeeze through contacts, else all differently."""
+    """Return a group number for each polygon of ``parts``.
+
+    If ``may_squeeze``, polygons that touch have the same number. Otherwise all numbers differ.
+    """
     if not may_squeeze:
         return np.arange(len(parts))
     pairs = shapely.STRtree(parts).query(parts, predicate="intersects")

@@ -5,7 +5,7 @@
 | both points, among polygons | `plr_jax.construct_pairs` | within 4e-7 of the map's width, except beside walls |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact length of a shortest grid path |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
-| a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | by one PLR for each goal |
+| the point, to a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | as exact as a PLR of each goal |
 | the nearest of several goals | `plr_jax.NearestGoal` | as exact as its oracles |
 
 # Among polygons

@@ -1,8 +1,8 @@
 r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
 
-The file format defines the arithmetic of a query. So all these readers give the same answers, bit for bit, as
-`plr.numpy()`, and as `plr(x)` on a CPU in 32 bits (except for numbers below 1e-38). NumPy takes batches of points; C
-and JavaScript take single points. There are no bounds in C.
+The file format defines the arithmetic of a query. So the code in all these languages gives the same answers, bit for
+bit, as `plr.numpy()`, and as `plr(x)` on a CPU in 32 bits (except for numbers below 1e-38). NumPy takes batches of
+points; C and JavaScript take single points. The C code does not compute bounds.
 
 ```python
 from pathlib import Path
@@ -57,13 +57,13 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 
 ## Small machines
 
-In the plane, code and tables of a file of 4 KB take about 4 (planes), 6 to 8 (cones), 15 (continuous) or 44 (smooth)
-times its bytes. `plr.c_header("maze", compact=True)`, or `plr-jax export --compact`, writes the same functions with
-less memory. Instead of tables, this header has a decoder, shared by all compact headers in a program, and bytes:
-about 1.25 (planes), 2 to 2.5 (cones, continuous) or 3 (smooth) times those of a file of 4 KB. The decoder takes 1 to
-4 KB of code and up to 1 KB of stack. A query takes 0.07 to 0.2 microseconds on a PC; smooth leaves need 4 KB of stack
-and 1.7 microseconds. The decoder can also query bytes that a robot receives. If `plr_jax_open` accepts damaged bytes,
-answers may be wrong, but no query reads outside of them. Planes and smooth leaves are computed in double precision.
+In the plane, code and tables for a file of 4 KB are about 4 (planes), 6 to 8 (cones), 15 (continuous) or 44 (smooth)
+times as large as the file. `plr.c_header("maze", compact=True)`, or `plr-jax export --compact`, saves memory. Instead
+of tables, it writes encoded bytes, about 1.25 (planes), 2 to 2.5 (cones, continuous) or 3 (smooth) times the size of
+the file, and a decoder that all compact headers of a program share. The decoder takes 1 to 4 KB of code and up to
+1 KB of stack, a query 0.07 to 0.2 microseconds on a PC; smooth leaves need 4 KB of stack and 1.7 microseconds. Planes
+and smooth leaves are computed in double precision. The decoder can also query bytes that a robot receives. If
+`plr_jax_open` accepts damaged bytes, answers may be wrong, but no query reads outside of these bytes.
 
 ```c
 #include <stdio.h>

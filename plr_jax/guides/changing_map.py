@@ -38,8 +38,8 @@ affects. Its distances equal those of a new oracle, up to rounding. For another 
 # The PLR
 
 A PLR stores the distances of one map, so construct a new PLR with the oracle of the new map, by the same call as
-before. To know whether a PLR still holds after a change, call `plr_jax.certify(plr, oracle)`
-with the new oracle, which proves the largest error on the new map.
+before. To know whether the old PLR is still good enough, call `plr_jax.certify(plr, oracle)` with the new oracle. The
+call proves the largest error of the PLR on the new map.
 
 ```python
 print(plr_closed.max_error, plr_jax.certify(plr, oracle_closed).max_error)

@@ -30,8 +30,8 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
   domain gets `inf`, a line that is no point gets `nan` and a warning. `--bounds` adds proven bounds, and `--which`
   the index of the nearest goal, if leaves are cones of several goals. For pairs, lines are `x,y,x,y`.
 - `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Both draw the walls of
-  the map that the file was built from. If that map has moved, name it: `--map scan.png` of `plot`, or the argument
-  MAP of `view`. It is read with the options that the file was built with.
+  the map that the file was built from. If the file of the map has moved, name it: `--map scan.png` of `plot`, or the
+  argument MAP of `view`. The map is read with the options that the PLR was built with.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
 - `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
   is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes. Other

@@ -22,8 +22,8 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
 - Rasters of up to 2 million cells, or 4 million with `bounds=True` or with heights, take kilobytes of memory a cell.
-  Larger rasters, without both, take 100 bytes a cell, and have the errors of scikit-fmm: 0.1 to 0.3 % on average
-  where costs change slowly, 0.5 to 7 % where they jump.
+  Larger rasters, without bounds and heights, take 100 bytes a cell, and have the errors of scikit-fmm: 0.1 to 0.3 %
+  on average where costs change slowly, 0.5 to 7 % where costs jump.
 
 # A least-cost path
 

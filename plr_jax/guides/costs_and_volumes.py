@@ -25,7 +25,7 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
 - `certified=False`: an estimate in up to three dimensions. Mean errors: mostly below 0.5 %, in volumes 0.4 to 6 %.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
   no proven path was found, such as beside obstacles; more leaves help.
-- Several goals are rows. Files do not store `which`, and it cannot be called under `jit`.
+- Several goals are the rows of an array. Then `plr.which(x)` works only before saving, and not under `jit`.
 - `max_bytes` limits the file. If bounds are too loose, raise `max_leaves` above its default, 10,000 in the plane: the
   file may stay as small.
 

@@ -66,14 +66,14 @@ the largest error in a cell. Leaves:
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: cones if the budget has ample room for all corners; else it builds several PLRs and keeps the best. It
-  builds one if the oracle knows no corners, as a `Roadmap`, or without a proof if corners need 4 times the budget.
+- `"best"`: cones if the budget has ample room for all corners; else the best of several PLRs. It builds only one PLR
+  if the oracle knows no corners, such as a `Roadmap`, or without a proof if corners need over 4 times the budget.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
-existing PLR. Where walls touch only at a point, no error below half of the jump between their sides can be proven:
-thicken the wall there. `plr.lower` is a distance function that is never above the true distance, so A* with this
-heuristic stays optimal. It jumps between leaves, so it is not consistent: A* must reopen nodes.
+existing PLR. Where walls touch only at a point, the distance jumps, and no error below half of the jump can be
+proven: thicken the wall there. `plr.lower` is a distance function that is never above the true distance, so A* with
+this heuristic stays optimal. The heuristic jumps between leaves, so it is not consistent: A* must reopen nodes.
 
 Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
 

@@ -1,4 +1,4 @@
-"""Oracles: distances to a goal, computed on the host from a map, a roadmap, a grid, or in closed form."""
+"""Oracles: functions that compute distances to a goal on the CPU, from a map, a roadmap, a grid or a formula."""
 
 import lazy_loader
 

@@ -54,7 +54,11 @@ _SLACK = 1e-10  # turning radii by which a Dubins path may miss the goal: well a
 
 
 class Word(NamedTuple):
-    """Paths to many poses by one sequence of turns; lengths are negative where the car reverses, NaN for no path."""
+    """Paths to many poses, one per pose, that all follow the same sequence of turns and straight lines.
+
+    Lengths of segments are in turning radii, negative where the car reverses. They are NaN for a pose to which no
+    path of this sequence leads.
+    """
 
     letters: str  # L and R for turns, S for straight
     segments: tuple[Any, ...]  # lengths, each an array with one number per pose, or one number for all
@@ -70,7 +74,7 @@ def wrap_angle(angle: Batch) -> Batch:
 
 @dataclass(frozen=True, eq=False, init=False)
 class _Car(ABC):
-    """A base of distances of cars to a goal pose, for a given turning radius."""
+    """The base class of distance functions of cars to a goal pose, for a given turning radius."""
 
     goal: Float[np.ndarray, "3"]
     radius: float
@@ -123,8 +127,9 @@ class _Car(ABC):
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
         """Yield possible shortest paths from the pose (0, 0, 0) that start with a left turn and end at ``heading``.
 
-        ``to_left`` and ``to_right`` lead, in turning radii, from the centers of the left and right turning circles at
-        the start, (0, 1) and (0, -1), to those at the end.
+        ``to_left`` is the vector from the center of the left turning circle at the start, (0, 1), to the center of
+        the left turning circle at the end. ``to_right`` is this vector for the right turning circles, from (0, -1).
+        Lengths are in turning radii, headings in radians, with one entry per path.
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:
@@ -150,7 +155,10 @@ class _Car(ABC):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
-        """Return the reflection of poses in the line through the goal at an angle, ``direction``, to the x axis."""
+        """Return the reflection of poses in a line through the goal.
+
+        ``direction`` is the angle from the x axis to the line, in radians.
+        """
         cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
         return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
@@ -164,7 +172,8 @@ class ReedsShepp(_Car):
 
     A shortest path is one of 48 words of at most five turns and straight lines: Reeds and Shepp, "Optimal paths for a
     car that goes both forwards and backwards", Pacific Journal of Mathematics 145, 1990. The distance is continuous,
-    and the same in both directions. Sideways from the goal it grows like a square root.
+    and the same in both directions. For small sideways offsets from the goal, it grows like the square root of the
+    offset.
     """
 
     @property
@@ -271,9 +280,10 @@ class Dubins(_Car):
     units. The ``goal`` is a pose ``(x, y, theta)``, theta in radians. Both must be finite, else ``ValueError``.
 
     A shortest path is one of six words, LSL, RSR, LSR, RSL, RLR, LRL: Dubins, "On curves of minimal length with a
-    constraint on average curvature", American J. of Mathematics 79, 1957. The distance depends on the direction of
-    travel. It jumps, by up to a full circle, at poses from which a single turn, or one turn to each side, leads to
-    the goal. There the shorter path counts, which may miss the goal by 1e-10 turning radii.
+    constraint on average curvature", American J. of Mathematics 79, 1957. The distance from a to b differs from the
+    distance from b to a. The distance jumps, by up to a full circle, at poses from which a single turn, or one turn
+    to each side, leads to the goal. At such poses the shorter path counts, which may miss the goal by 1e-10 turning
+    radii.
     """
 
     @property
@@ -291,7 +301,7 @@ class Dubins(_Car):
         turn = _forward_turn(heading, _SLACK)
         slack = _SLACK / np.maximum(distance, _SLACK)  # error of the vector's direction, if its end is off by _SLACK
         first = _forward_turn(angle, slack)
-        # A first turn that exceeds both turns by no more than this error is both turns: then the last is 0.
+        # A first turn that exceeds `turn` by no more than this error counts as `turn`; the last turn is then 0.
         first = np.where(first <= turn + slack, np.minimum(first, turn), first)
         last = turn - first
         yield Word("LSL", (first, distance, np.where(last < 0, last + _CIRCLE, last)))
@@ -308,5 +318,5 @@ class Dubins(_Car):
 
 
 def _forward_turn(angle: Batch, slack: Batch | float = 0.0) -> Batch:
-    """Reduce an angle to [0, 2 pi), and to 0 if it is less than ``slack`` below a full circle."""
+    """Reduce an angle to [0, 2 pi), or to 0 if it is less than ``slack`` radians below a full circle."""
     return np.maximum(angle - _CIRCLE * np.floor((angle + slack) / _CIRCLE), 0.0)

@@ -1,4 +1,4 @@
-"""Distances without obstacles."""
+"""The straight-line distance to a goal, without obstacles: :class:`Euclidean`."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -31,7 +31,7 @@ class Euclidean:
 
     @property
     def symmetries(self) -> tuple[Symmetry, ...]:
-        """Reflections about the goal, each of which flips one axis."""
+        """One reflection for each axis, which mirrors this axis about the goal."""
         return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
 
     def __call__(self, x: ArrayLike) -> Distances:

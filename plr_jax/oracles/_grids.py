@@ -27,7 +27,10 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """The free cells of a grid, with steps between neighbors; cell indices include a border of blocked cells."""
+    """The base class of shortest-path distances over the free cells of a grid, along steps between neighbors.
+
+    The grid is padded with one layer of blocked cells. A flat cell index is an index of the padded, raveled array.
+    """
 
     goal: Float[np.ndarray, " dim"] | None
     dim: ClassVar[int]
@@ -38,7 +41,10 @@ class _CellGraph(ABC):
     _to_goal: Distances  # distance of each cell to the goal
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """Return the graph with another goal in a free cell, ``(dim,)`` (else ``ValueError``), sharing the edges."""
+        """Return a graph with the same cells and steps, and another goal ``(dim,)``.
+
+        ``ValueError`` is raised if the goal is not in a free cell.
+        """
         _ = self._steps  # computed once, for all copies
         graph: Any = copy(self)
         graph.__dict__.pop("_to_goal", None)
@@ -48,13 +54,16 @@ class _CellGraph(ABC):
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of a shortest path from the cell of each point ``(n, dim)`` to the goal's cell, ``(n,)``.
 
-        It is ``inf`` in blocked cells, outside the grid, without a path to the goal, and for points with a NaN.
-        ``ValueError`` if there is no goal.
+        The length is ``inf`` for points in blocked cells, outside the grid, without a path to the goal, or with a
+        NaN. ``ValueError`` if there is no goal.
         """
         return self._to_goal[self._cells_of("x", x)]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal, and which hold others."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+
+        Paths lead from cell to cell.
+        """
         inside = (slice(1, -1),) * self.dim
         free = self._padded[inside]
         reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]
@@ -76,7 +85,7 @@ class _CellGraph(ABC):
 
     @abstractmethod
     def _cells_at(self, x: Points) -> Int[np.ndarray, " n"]:
-        """Return the index of the cell that contains each point, 0 (a blocked cell) for a point outside the grid."""
+        """Return the flat index of the cell of each point, 0 (a blocked cell) for a point outside the grid."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -88,8 +97,8 @@ class GridGraph(_CellGraph):
     benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of Robot Runners.
 
     The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
-    :func:`scenes.read_map`. So integers are the columns and rows of ``.scen`` files. All points of a cell have the
-    same distance. Invalid arguments raise ``ValueError``.
+    :func:`scenes.read_map`. So the columns and rows of ``.scen`` files can be used as ``x`` and ``y``. All points of
+    a cell have the same distance. Invalid arguments raise ``ValueError``.
 
     Args:
         free: Whether each cell is free, ``(rows, columns)``, as :func:`scenes.read_cells` reads a ``.map`` file.
@@ -117,10 +126,11 @@ class GridGraph(_CellGraph):
         return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected)"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Return the length of a shortest path between the cells of points ``(n, 2)``, pair by pair, ``(n,)``.
+        """Return the length of a shortest path from the cell of ``x[i]`` to the cell of ``y[i]`` for each ``i``.
 
-        Each distinct cell of ``x``, or of ``y`` if it has fewer, takes one search over the grid. The length is
-        ``inf`` in blocked cells, outside the grid, without a path, and for points with a NaN.
+        Points are ``(n, 2)``, lengths ``(n,)``. Each distinct cell of ``x`` takes one search over the grid, or each
+        of ``y`` if these are fewer. The length is ``inf`` if there is no path, or if a point is in a blocked cell,
+        outside the grid, or has a NaN.
         """
         ends = self._cells_of("x", x), self._cells_of("y", y)
         if len(ends[0]) != len(ends[1]):
@@ -143,7 +153,7 @@ class GridGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> csr_array:
-        # A graph of the padded grid: each edge once. Diagonal steps need both cells beside them free.
+        # Return the graph of the padded grid, with each edge once. Diagonal steps need both cells beside them free.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
         edges = []
@@ -183,13 +193,13 @@ class VoxelGraph(_CellGraph):
     also lead across one of 12 edges, with 26 moves also across one of 8 corners. All voxels of the box that the step
     spans must be free, so it cuts no edge or corner. In voxels of side 1, steps have lengths 1, sqrt(2) and sqrt(3).
 
-    The length is never below that of the shortest path of any angle between the two centers. In open space, for cubes
-    and 26 moves, it is at most 12.9 % above it. A point on a face between two voxels belongs to the upper one, a
-    point on an upper bound to the last one. Invalid arguments raise ``ValueError``.
+    The length is never below that of the shortest any-angle path between the two centers. In open space, for cubes
+    and 26 moves, it is at most 12.9 % above. A point on a face between two voxels belongs to the upper voxel, a point
+    on an upper bound of the box to the last voxel. Invalid arguments raise ``ValueError``.
 
     Args:
         free: Whether each voxel is free, booleans ``(nx, ny, nz)``, indexed ``[i, j, k]`` as in :class:`VoxelSpace`;
-            at least one is.
+            at least one must be free.
         goal: A point in a free voxel, ``(3,)``; distances are measured from the voxel's center.
         moves: Number of neighbors of a voxel, 6, 18 or 26.
         bounds: The box that the voxels fill, or its corners ``(lo, hi)``, without periodic axes. None: voxels of side
@@ -232,7 +242,8 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, " voxels"]]:
-        # Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free.
+        # Return the changes of a voxel's three indices, one row per step; and for each voxel a number with a bit per
+        # step, which is set if the step is free.
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
@@ -260,7 +271,7 @@ class VoxelGraph(_CellGraph):
         distance[root] = 0.0
         buckets = {0: [root]}
         while buckets:
-            # 1. Take the voxels of the first bucket, but not those that have become nearer: their bucket is done.
+            # 1. Take the voxels of the first bucket, without voxels that have moved to an earlier bucket since then.
             first = min(buckets)
             voxels = np.concatenate(buckets.pop(first))
             voxels = np.unique(voxels[(distance[voxels] / width).astype(np.int64) == first])
@@ -287,13 +298,14 @@ class GridField:
     This is the layout of scikit-fmm over a ``meshgrid`` and of xarray with ascending dimensions ``("y", "x")``. For a
     raster with row 0 at the top give ``values[::-1]``, for a table ``[x, y, ...]`` give ``values.T``.
 
-    Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
-    the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is
-    that of the nearest point between centers. Invalid arguments raise ``ValueError``.
+    Interpolation is multilinear between the centers of cells with a value. If some centers around a point have no
+    value, the weights of the other centers are scaled to sum to 1. If the cells with a value around a point are not
+    connected through common faces, the point has the value of its own cell. A point beyond the outermost centers has
+    the distance of the nearest point between centers. Invalid arguments raise ``ValueError``.
 
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
-            reached. Kept as a read-only array, with ``inf`` for all of these.
+            reached. It is kept as a read-only array, with ``inf`` in place of NaN and masked entries.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
             Periodic axes wrap around.
         free: Whether each cell is free, booleans like ``values``, so that a PLR answers ``inf`` in free cells without
@@ -334,9 +346,10 @@ class GridField:
         return self.bounds.dim
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the interpolated distance at each point ``(n, dim)``, ``(n,)``.
+        """Return the interpolated distance ``(n,)`` at each point ``(n, dim)``.
 
-        It is ``inf`` where the point's cell has no value, outside the bounds, and for points with a NaN.
+        The distance is ``inf`` if the cell of the point has no value, and for points outside the bounds or with a
+        NaN.
         """
         x = self.bounds.settled(x, lambda single: np.isfinite(self(single)))
         x = as_points("x", x, self.dim)
@@ -349,9 +362,9 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, " n"]]:
-        """Return distances at points in the box, and whether each point's cell has a value.
+        """Return the interpolated distance at each point, and whether the cell that contains the point has a value.
 
-        If no cell around a point has a value, its distance is ``inf``.
+        Points must lie in the box ``bounds``. The distance is ``inf`` if no cell around the point has a value.
         """
         from scipy import ndimage  # slow to import, and needed only here
 
@@ -374,13 +387,13 @@ class GridField:
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold cells with a distance, and free cells without."""
+        """Return tests whether boxes of a domain hold cells with a distance, or free cells without a distance."""
         reached = np.isfinite(self.values).T
         return reach_of_cells(reached, self.free.T & ~reached, self.bounds, domain)
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        # Four arrays. The first three have a layer of copied cells around the grid:
+        # Return four arrays. The first three have a layer of copied cells around the grid:
         #   padded    the distance, NaN in cells without a value
         #   filled    the distance, 0 in cells without a value
         #   weights   1 in cells with a value, else 0

@@ -19,13 +19,16 @@ from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sour
 class NearestGoal:
     """Distance to the nearest of several goals, such as docks or exits, and the index of that goal.
 
-    It has one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. To share
-    preprocessing, use ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``, ``Roadmap`` or
-    ``GridGraph``. It is a distance function like others, for example for ``construct`` or for planners. If all
-    functions are ``VisibilityGraph``s of one workspace, a PLR built from it may have leaves that are cones, can be
-    certified, and tells the nearest goal by :meth:`PLR.which`. Loaded from a file, only a PLR with cones does. A wide
-    exit, such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
-    If the map changes, make a new one: ``NearestGoal([fn.with_workspace(new) for fn in nearest.distance_fns])``.
+    Pass one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. To share
+    preprocessing, use ``[first, *map(first.with_goal, others)]``, where ``first`` is a ``VisibilityGraph``, a
+    ``Roadmap`` or a ``GridGraph``. ``construct`` and planners accept a NearestGoal as a distance function. If all
+    functions are ``VisibilityGraph``s of one workspace, a PLR built from the NearestGoal may have cone leaves, can be
+    certified, and tells the nearest goal by :meth:`PLR.which`. After a PLR is saved and loaded, ``which`` needs cone
+    leaves.
+
+    Represent a wide exit, such as a door, by several goals: points along it, no farther apart than twice the error
+    that you accept. If the map changes, make a new object:
+    ``NearestGoal([fn.with_workspace(new) for fn in nearest.distance_fns])``.
     """
 
     distance_fns: tuple[DistanceFn, ...]
@@ -61,18 +64,24 @@ class NearestGoal:
     def __call__(self, x: ArrayLike) -> Any:
         """Return the distances ``(n,)`` of points ``(n, dim)`` to the nearest goal, ``inf`` if none can be reached.
 
-        Inside ``jit``, this needs distance functions that can be traced, such as PLRs.
+        Inside ``jit``, all distance functions must be traceable, such as PLRs.
         """
         return self._distances(x).min(axis=0)
 
     def which(self, x: ArrayLike) -> Any:
-        """Return the index ``(n,)`` of the goal nearest to each point: the first of equal ones, -1 if none."""
+        """Return the index ``(n,)`` of the goal nearest to each point ``(n, dim)``, -1 if no goal can be reached.
+
+        Of several nearest goals, the first counts.
+        """
         distances = self._distances(x)
         xp = distances.__array_namespace__()
         return xp.where(xp.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return a point's path ``(m, dim)`` to the nearest goal; ``ValueError`` if its function offers no paths."""
+        """Return the shortest path from a point ``(dim,)`` to the nearest goal, as vertices ``(m, dim)``.
+
+        ``ValueError`` is raised if the distance function of that goal has no method ``shortest_path``.
+        """
         as_point("The start", x, self.dim)
         nearest: Any = self.distance_fns[self.which(as_queries(x)[None])[0]]
         if not hasattr(type(nearest), "shortest_path"):

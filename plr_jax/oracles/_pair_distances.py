@@ -1,10 +1,11 @@
 """Exact distances between pairs of points in the plane: straight, or through the first and the last turn.
 
 A shortest path from x to y that is not straight turns first at a corner i that x sees, and last at a corner j that y
-sees. Its length is the minimum of |x - i| + D(i, j) + |j - y| over such corners, with the distance D of corners.
+sees. Its length is the minimum of |x - i| + D(i, j) + |j - y| over such corners, where D(i, j) is the length of the
+shortest path between the corners.
 
-Two implementations give equal bits: one for few points, pair by pair (``PairDistances._distance``), and one for many
-points, in batches (``PairDistances._distances``).
+Two implementations give the same results, bit for bit: ``PairDistances._distance`` handles a single pair and is fast
+for few pairs, ``PairDistances._distances`` handles batches of many pairs.
 """
 
 import math
@@ -29,13 +30,16 @@ Entries: TypeAlias = Float[np.ndarray, " entries"]
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
 _DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache
-_LANDMARKS = 24  # on den520d, fewer leave more corners to try, and more cost more than they save
+_LANDMARKS = 24  # corners used as landmarks; on the map den520d, fewer and more are slower
 _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 
 
 @dataclass(frozen=True, eq=False)
 class _CornerLists:
-    """For each point, the corners at which paths from it may turn first, and their distances from it."""
+    """Lists of corners, one for each of several points: the corners at which paths from the point may turn first.
+
+    Each entry also has the distance from the point to the corner.
+    """
 
     first: Int[np.ndarray, " points_plus_one"]  # index of the first entry of each point
     corner: Int[np.ndarray, " entries"]
@@ -46,7 +50,7 @@ class _CornerLists:
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     def take(self, points: Int[np.ndarray, " some"]) -> "_CornerLists":
-        """Return the lists of the points at these indices, in their order."""
+        """Return the lists of the points with the indices ``points``, in this order."""
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
         return _CornerLists(first, self.corner[entry], self.distance[entry])
@@ -57,12 +61,12 @@ class _CornerLists:
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
-    """Exact distances between any two points of a workspace, and caches that oracles of all goals share."""
+    """Exact distances between any two points of a workspace, and caches that the oracles of all goals share."""
 
     workspace: Workspace
     visibility: CornerVisibility
 
-    def __reduce__(self):  # without the cached properties
+    def __reduce__(self):  # pickle without the cached properties
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
@@ -75,13 +79,13 @@ class PairDistances:
 
     @cached_property
     def _graph(self) -> Graph:
-        """The graph of corners; edges join pairs between which a shortest path can go straight and turn at both."""
+        """The graph of corners. An edge joins two corners that see each other if a shortest path can turn at both."""
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, " corners"]]:
-        """Return the rows of the matrix of distances between corners that belong to these corners."""
+        """Return, for each of the given corner indices, an array of path lengths from this corner to all corners."""
         # Rows of up to `_at_once` corners are cached. If the cache is full, a new one replaces it.
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
@@ -97,9 +101,10 @@ class PairDistances:
 
     @cached_property
     def _lists_of_triangles(self) -> tuple[Int[np.ndarray, " runs_plus_one"], Int[np.ndarray, " entries"]]:
-        """Lists of the corners where paths from each triangle may turn first; one more list holds all corners.
+        """For each triangle of free space, the corners where paths from its points may turn first.
 
-        With the value ``(first, corner)``, the list of triangle ``t`` is ``corner[first[t] : first[t + 1]]``.
+        The value is a pair ``(first, corner)``: triangle ``t`` has the corners ``corner[first[t] : first[t + 1]]``.
+        One more list, after the list of the last triangle, holds all corners.
         """
         # A path may turn at a corner only if it comes from a direction v for which `opens x v` and `closes x v`, with
         # the directions of the corner's walls, are both at least 0 (from opens to -closes), or both at most 0.
@@ -111,7 +116,10 @@ class PairDistances:
         return np.append(first, len(corner) + num_corners), np.append(corner, np.arange(num_corners))
 
     def __call__(self, x: Points, y: Points) -> Distances:
-        """Return path lengths between points, pair by pair: ``inf`` without a path, bitwise equal if swapped."""
+        """Return the length of the shortest path from ``x[i]`` to ``y[i]`` for each ``i``, ``inf`` without a path.
+
+        If ``x`` and ``y`` are swapped, the result is the same, bit for bit.
+        """
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
         if len(x) > FEW:
@@ -122,7 +130,7 @@ class PairDistances:
         return distance
 
     def _distances(self, x: Points, y: Points) -> Distances:
-        """Return the distances of many pairs of points, in batches."""
+        """Return the length of the shortest path from ``x[i]`` to ``y[i]`` for each ``i``, computed in batches."""
         # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
@@ -142,7 +150,10 @@ class PairDistances:
         return distance
 
     def _distance(self, x: list[float], y: list[float]) -> float:
-        """Return the distance of two points, to the bit as `_distances` does; NaN if a point is in no triangle."""
+        """Return the length of the shortest path between two points, equal in all bits to the result of `_distances`.
+
+        The result is NaN if :class:`PointLocator` has no place for one of the points.
+        """
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
@@ -155,7 +166,10 @@ class PairDistances:
         return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
 
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
-        """Return the length of the shortest path between two points that do not see each other."""
+        """Return the length of the shortest path between points ``x`` and ``y`` that do not see each other.
+
+        ``start`` and ``end`` are the places of ``x`` and ``y`` in the triangulation.
+        """
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
             return math.inf
@@ -181,14 +195,18 @@ class PairDistances:
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
-        """Return the corners at which paths from a point may turn first, perhaps hidden ones, and their distances."""
+        """Return the indices of corners at which paths from the point ``x`` may turn first, and their distances to x.
+
+        ``place`` is the place of the point in the triangulation. Some of the corners may not be visible from the
+        point.
+        """
         corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T
         return corner, np.sqrt(dx * dx + dy * dy)
 
     @cached_property
     def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
-        """Distances of all corners from a few corners, the landmarks, that are far from one another."""
+        """Path lengths between all corners and a few *landmarks*: corners that are far from one another."""
         # Farthest-point sampling: the next landmark is the corner that is farthest from the nearest landmark so far.
         num_corners = len(self._graph.vertices)
         to_nearest, rows = np.full(num_corners, np.inf), []
@@ -202,7 +220,7 @@ class PairDistances:
         return _SLACK * float(self._landmarks[np.isfinite(self._landmarks)].max())
 
     def _by_corners(self, x: Points, y: Points) -> Distances:
-        """Return the length of each pair's shortest path through corners."""
+        """Return the length of the shortest path from each ``x[i]`` to ``y[i]`` that turns at one corner or more."""
         # The shortest path through the corner i of least |x - i| + |i - y| limits which corners must be tried.
         at_x, at_y = self._visible_corners(x), self._visible_corners(y)
         least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
@@ -211,12 +229,17 @@ class PairDistances:
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
     def _lower_bounds(self, lists: _CornerLists, targets: Points) -> Entries:
-        # The length of a path from each list's point through a corner, and straight on to the point's target.
+        # Return, for each entry, the length of the path from its point to its corner, then straight to the target of
+        # the point.
         to_other = targets[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return the length of each pair's shortest path through a corner listed for ``x`` and one for ``y``."""
+        """Return, for each ``i``, the length of the shortest path from a point x to a point y through listed corners.
+
+        The path must turn first at a corner in list ``i`` of ``at_x``, the corners visible from x, and last at a
+        corner in list ``i`` of ``at_y``, the corners visible from y.
+        """
         # 1. For each entry of x, minimize `onward`, D(i, j) + |j - y|, over the entries j of the same pair's y: in
         #    batches of corners i, whose rows of D fit into memory, then in batches of combinations.
         corners, row = np.unique(at_x.corner, return_inverse=True)
@@ -235,7 +258,7 @@ class PairDistances:
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
-        """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
+        """Return, for each point, the corners visible from the point at which a shortest path from it may turn."""
         # Handle equal points once. As complex numbers, points are sorted by their first coordinate, then by the
         # second.
         _, index, inverse = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
@@ -249,9 +272,13 @@ class PairDistances:
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(is_kept).take(inverse)
 
     def _candidates(self, x: Points) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " runs"]]:
-        """Return the number of corners that may see each point, and which `_lists_of_triangles` hold them."""
-        # A point has the lists of all triangles that hold it; a vertex of triangles, the last list. The result has
-        # these lists point by point.
+        """Return the number of corners that may see each point, and the indices of the lists that hold these corners.
+
+        The lists are those of `_lists_of_triangles`. Each point has one list or more; the result has the lists of the
+        first point, then of the second point, and so on.
+        """
+        # A point has the lists of all triangles that contain it. A point that is a vertex of triangles has the last
+        # list, which holds all corners.
         begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
         points, first, triangle = triangles_at(mesh, mesh.place(x))  # without points that are vertices
         num_runs, is_in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
@@ -263,7 +290,7 @@ class PairDistances:
 
 
 def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:
-    """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
+    """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if there are no values."""
     # `reduceat` reduces up to the next index, so leaving out empty runs does not change the others.
     minima, has_values = np.full(len(first) - 1, np.inf), np.diff(first) > 0
     if has_values.any():

@@ -33,7 +33,10 @@ from plr_jax.geometry.workspace import Workspace, require_workspace
 
 @dataclass(frozen=True, eq=False)
 class Metric:
-    """The Euclidean length of weighted differences of configurations, the short way around periodic axes."""
+    """A metric of configurations: the Euclidean norm of their difference, with a weight for each axis.
+
+    Along periodic axes, the difference goes the short way around.
+    """
 
     domain: Box
     weights: Float[np.ndarray, " dim"]
@@ -50,7 +53,7 @@ class Metric:
         return KDTree(self.tree_coordinates(vertices), boxsize=periods)
 
     def tree_coordinates(self, x: Points) -> Points:
-        """Return the coordinates of configurations in the k-d tree, in which distances are those of the metric."""
+        """Return the coordinates of configurations in the k-d tree: there, Euclidean distances equal the metric."""
         # In a k-d tree, periodic axes must run from 0 to below their period.
         around = self.weights * (self.domain.wrapped(x) - self.domain.lo)
         around = np.where(around < self.widths, around, 0.0)  # rounding may reach the full period
@@ -67,7 +70,10 @@ _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Return the connection radius of PRM* for ``n >= 2`` vertices, proportional to ``(log n / n)^(1/dim)``."""
+    """Return the connection radius of PRM* for ``n >= 2`` vertices, proportional to ``(log n / n)^(1/dim)``.
+
+    ``free_volume`` is the volume of free space; its length unit is also the unit of the radius.
+    """
     # Karaman and Frazzoli (2011): gamma = 2 ((1 + 1/d) volume of free space / volume of the unit ball)^(1/d).
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
@@ -75,7 +81,11 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """Draw free configurations uniformly; also return the estimated volume of free space, in units of the metric."""
+    """Draw free configurations uniformly, ``(num_samples, dim)``; also return the estimated volume of free space.
+
+    The volume is that of free space after each axis is scaled by its weight in ``metric``. ``ValueError`` if hardly
+    any configuration is free.
+    """
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
@@ -94,7 +104,10 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
-    """Return pairs of vertices at most ``radius`` apart, ``(edges, 2)``, that see each other."""
+    """Return index pairs of vertices at most ``radius`` apart that a free straight motion joins, ``(edges, 2)``.
+
+    ``tree`` is the k-d tree of the vertices, and ``is_visible`` the test of motions.
+    """
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
     begins = range(0, len(pairs), _EDGES_A_STEP)
@@ -121,7 +134,10 @@ def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Boo
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether straight motions between free points are free, tested at points ``resolution`` apart."""
+    """Return whether the straight motion from each ``a[i]`` to ``b[i]``, two free configurations, is free.
+
+    Only configurations on the motion at most ``resolution`` apart are tested.
+    """
     # Divide each motion into equal steps, and test the points between steps, coarsely first: a motion that was found
     # not to be free is tested no further.
     #
@@ -238,9 +254,10 @@ class Roadmap:
         return oracle
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points that the goal's part of a workspace does not contain.
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
 
-        None if all free points are in that part, or the roadmap was not built from a workspace.
+        Paths are those of the workspace, not of the roadmap. The result is None if a path leads from every free
+        point, or if the roadmap was not built from a workspace.
         """
         return None if self._workspace is None else self._workspace.reach(self.goal[None], domain)
 
@@ -284,17 +301,18 @@ class Roadmap:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the distance ``(n,)`` of each point ``(n, dim)`` to the goal along the roadmap.
 
-        Axes count with the ``weights`` of the constructor. If a point sees no vertex within ``radius``, vertices
+        Lengths count with the ``weights`` of the constructor. If a point sees no vertex within ``radius``, vertices
         within 2, 4, ... times the radius are tried. The distance is ``inf`` for a point that is not free, is outside
         the domain, has a NaN, or sees no vertex from which the goal can be reached.
         """
         return self._first_vertices(as_points("x", self._settled(x), self.dim))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the path from a point ``(dim,)`` to the goal whose length a call returns, as vertices ``(m, dim)``.
+        """Return the path from a point ``(dim,)`` to the goal along the roadmap, as vertices ``(m, dim)``.
 
-        There is one vertex if the point is the goal, none if the distance is ``inf``. Along periodic axes, vertices
-        are wrapped into the domain, and the path goes the short way.
+        A call with this point returns the length of the path. There is one vertex if the point is the goal, none if
+        the length is ``inf``. Along periodic axes, vertices are wrapped into the domain, and the path goes the short
+        way around.
         """
         x = self.domain.wrapped(as_point("The start", self._settled(x), self.dim)[None])
         distance, first = self._first_vertices(x)
@@ -306,7 +324,10 @@ class Roadmap:
         return self.domain.settled(x, self.is_free) if self._workspace is None else self._workspace.settled(x)
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Return distances to the goal, and first vertices, -1 if the point is not free or sees no vertex."""
+        """Return each point's distance to the goal, and the index of the first vertex on the path from the point.
+
+        The index is -1 if the point is not free or sees no vertex.
+        """
         distance, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
@@ -317,9 +338,10 @@ class Roadmap:
         return distance, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Connect points to the roadmap: return distances to the goal, and first vertices, -1 for none.
+        """Return each point's distance to the goal along the roadmap, and the index of the path's first vertex.
 
-        Only vertices count whose distance is above ``inner`` and at most ``outer``.
+        Only vertices whose distance from the point is above ``inner`` and at most ``outer`` are tried. The index is
+        -1 if the point sees none of them.
         """
         # 1. Count the vertices near each point, and choose how many points to handle together.
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices

@@ -8,19 +8,20 @@ from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph
 
-_SLACK = 4  # workspace tolerances by which robots are shrunk
+_SLACK = 4  # robots are shrunk by this many times the workspace's tolerance
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
+    """Return, for each robot, a function: the exact distance to the robot's goal, without the other robots.
 
     Each distance function takes positions ``(n, 2)``. Distances are at most the length of the robot's own shortest
-    path, and ``inf`` at blocked positions. Robots of equal size share the visibility of corners. If
-    ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), so that
-    distances are those of its reference point. Otherwise they are those of a point, which are shorter, as in section
-    V-B of the paper.
+    path, and ``inf`` at blocked positions. Robots of equal size share the preprocessing of the map.
+
+    If ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), and
+    distances are those of the robot's reference point. Otherwise distances are those of a point robot, which are
+    shorter, as in section V-B of the paper (Putman et al.).
     """
-    first: dict[float, VisibilityGraph] = {}  # by radius of inflation
+    first: dict[float, VisibilityGraph] = {}  # the first robot's oracle for each radius of inflation
     distance_fns = []
     for robot, goal in zip(problem.robots, problem.goals, strict=True):
         # A robot may overlap a wall by the tolerance, and fits through a passage of exactly its own width.
@@ -35,7 +36,7 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
 
 
 def exact_lower_bound(problem: Problem) -> float:
-    """Return the sum of the robots' exact distances to their goals: no path of the team costs less.
+    """Return the sum of the robots' exact distances to their goals, a lower bound of the cost of all team paths.
 
     Each robot counts as alone in the workspace, and turns cost nothing. The bound is ``inf`` if a robot cannot reach
     its goal.

@@ -1,7 +1,7 @@
 """Exact shortest-path distances among polygons in the plane, by a visibility graph.
 
-Vertices are numbered in two ways: corners from 0, as in ``CornerVisibility``, and vertices of the graph, with the
-goal first, so that corner ``i`` is vertex ``1 + i``.
+Two numberings occur. Corners are numbered from 0, as in ``CornerVisibility``. Vertices of the graph of one goal are
+the goal, vertex 0, and then the corners, so that corner ``i`` is vertex ``1 + i``.
 """
 
 import math
@@ -50,7 +50,7 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, two finite numbers in closed free space, else ``ValueError``.
-        shared: For internal use, like ``goal_view``.
+        shared, goal_view: For internal use.
     """
 
     workspace: Workspace
@@ -58,8 +58,8 @@ class VisibilityGraph:
     distances: Float[np.ndarray, " vertices"]
     _parents: Int[np.ndarray, " vertices"]  # next vertex on each shortest path to the goal, -1 for none
     _goal_table: VisibilityTable  # what the goal sees
-    _turns: TurnPoints  # corners at which shortest paths may turn first, and from where
-    _goal_edges: Int[np.ndarray, "edges 2"]  # of the graph: 0, and a vertex that the goal sees
+    _turns: TurnPoints  # corners at which shortest paths may turn first, and the cones from which such paths come
+    _goal_edges: Int[np.ndarray, "edges 2"]  # edges of the graph at the goal: 0, and a vertex that the goal sees
     _pairs: PairDistances
     is_lower_bound: ClassVar[bool] = True
     """True: no path of the robot's reference point is shorter."""
@@ -76,7 +76,8 @@ class VisibilityGraph:
     ):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
-        # 1. Find what corners see, and what the goal sees: a table, and corners, -1 for vertices that are none.
+        # 1. Find what the corners see, and what the goal sees: a visibility table, and the indices of the vertices in
+        #    sight as corners, -1 for vertices that are not corners.
         if shared is None:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
@@ -96,7 +97,7 @@ class VisibilityGraph:
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
-        """Return the oracle for another free goal ``(2,)`` (else ``ValueError``), sharing what corners see."""
+        """Return the oracle for another free goal ``(2,)`` (else ``ValueError``), sharing the graph of corners."""
         return VisibilityGraph(self.workspace, goal, shared=self._pairs)
 
     def with_workspace(self, workspace: Workspace) -> "VisibilityGraph":
@@ -133,7 +134,10 @@ class VisibilityGraph:
 
     @cached_property
     def graph(self) -> Graph:
-        """The goal (vertex 0) and corners; edges join pairs in sight if a shortest path can turn at one of them."""
+        """The graph of the goal (vertex 0) and the corners.
+
+        Edges join two vertices that see each other if a shortest path can turn at one of them.
+        """
         edges = np.concatenate([self._goal_edges, 1 + self.family.edges])
         return Graph(np.concatenate([self.goal[None], self.family.corners.points]), edges)
 
@@ -148,17 +152,21 @@ class VisibilityGraph:
 
     @cached_property
     def sources(self) -> Sources:
-        """The goal and corners, as numbered in ``graph``: each shortest path first goes straight to one of them."""
+        """The goal and the corners, numbered as in ``graph``: a shortest path first goes straight to one of them."""
         return _sources(self.graph, self.distances, self._parents)
 
     @cached_property
     def sight(self) -> Sight:
-        """The ``sources``, and data to test to which of them paths from a convex piece of free space may go first."""
+        """Data to find which ``sources`` come first on shortest paths from a convex part of free space."""
         table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's convex pieces of free space, and the corners or goal to which paths from each go first."""
+        """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first.
+
+        Paths are the shortest paths from the piece to the goal. Sources are the corners and the goal, as numbered in
+        ``sources``.
+        """
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), domain.lo[None], domain.hi[None])
 
     @property
@@ -167,27 +175,32 @@ class VisibilityGraph:
         return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return a free sample point in each box, and the corners that it sees, for oracles of any goal."""
+        """Return a free sample point in each box, and the corners that see this point; the result fits all goals."""
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
-        """Return each sample's distance to the goal, and the index in ``sources`` of the first vertex of its path.
+        """Return the distance from each sample to the goal, and the index in ``sources`` of the path's first vertex.
 
-        :meth:`shared_samples` makes the samples, one a box. Without a sample or a path, these are ``inf`` and -1.
+        :meth:`shared_samples` makes the samples, at most one per box. For a box without a sample, or a sample without
+        a path, the distance is ``inf`` and the index -1.
         """
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return each box's convex pieces of free space, and the corners at which paths from each may turn first."""
+        """Return each box's convex pieces of free space, and for each piece the corners where paths may turn first.
+
+        Paths are shortest paths from the piece to any goal.
+        """
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices
     ) -> CellSources:
-        """Return the result of :meth:`cell_sources` for pairs of a box and one of several oracles of a map.
+        """Return what :meth:`cell_sources` returns, for many pairs of a box and an oracle.
 
-        Pair ``i`` has the box at index ``box[i]`` of the result ``shared`` of :meth:`shared_cells`, and the oracle
-        ``members[member[i]]``. Sources of all members are numbered one after another.
+        ``shared`` is the result of :meth:`shared_cells` for several boxes, and ``members`` are oracles for several
+        goals on this map. Pair ``i`` is the box of index ``box[i]`` and the oracle of index ``member[i]``. Sources of
+        all members are numbered one after another: first all sources of ``members[0]``, then of ``members[1]``, ...
         """
         goals = [FamilyGoal(oracle.sources, oracle._turns, oracle._goal_table) for oracle in members]
         return cells_of_goals(shared, self.family.corners, goals, box, member)
@@ -195,22 +208,25 @@ class VisibilityGraph:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.
 
-        It is ``inf`` for points in obstacles, outside the bounds, without a path to the goal, or not finite. Points
-        that come as 32-bit floats, and are in obstacles only by rounding, count as points on the walls.
+        The length is ``inf`` for points in obstacles, outside the bounds, without a path to the goal, or not finite.
+        Points of 32-bit floats that are in obstacles only by rounding count as points on the walls.
         """
         return self._first_turns(self._points("x", x))[0]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path to the goal, None if all have a path."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+
+        The result is None if a path leads from every free point.
+        """
         return self.workspace.reach(self.goal[None], domain)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``.
+        """Return the length of the shortest path from ``x[i]`` to ``y[i]`` for each ``i``; the goal plays no part.
 
-        The oracle's goal plays no part. Lengths are bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without
-        a path, or if a point is not free or not finite. Distances between corners are computed when needed; up to 16
-        million are cached, for all oracles made by :meth:`with_goal`. With more than 4,096 corners, ask for many
-        pairs in one call.
+        Points are ``(n, 2)``, lengths ``(n,)``. A length is ``inf`` without a path, or if a point is not free or not
+        finite. Lengths are bitwise the same if ``x`` and ``y`` are swapped. Distances between corners are computed
+        when needed. Up to 16 million of them are cached, for all oracles made by :meth:`with_goal`. With more than
+        4,096 corners, ask for many pairs in one call.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 
@@ -218,7 +234,7 @@ class VisibilityGraph:
         """Return the shortest path from a point ``(2,)`` to the goal, as vertices ``(m, 2)`` without repetitions.
 
         There is one vertex if the point is the goal, none if the distance is ``inf``. Corners that the path only
-        grazes may be among them.
+        grazes may be among the vertices.
         """
         x = as_point("The start", self.workspace.settled(x), 2)
         distance, turn = self._first_turns(x[None])
@@ -230,7 +246,7 @@ class VisibilityGraph:
         """Return unit vectors, ``(n, 2)``, along which shortest paths from points ``(n, 2)`` start.
 
         They are the negative gradient of the distance: zero within the workspace's tolerance of the goal, NaN where
-        the distance is ``inf``. If several paths are shortest, the direction of one of them.
+        the distance is ``inf``. If several paths from a point are shortest, the result is the direction of one.
         """
         x = self._points("x", x)
         distance, turn = self._first_turns(x)
@@ -248,9 +264,9 @@ class VisibilityGraph:
         return as_points(name, self.workspace.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, " n"]]:
-        """Return distances to the goal, and the vertex of ``graph`` to which each shortest path goes first.
+        """Return distances to the goal, and the index of the vertex of ``graph`` to which each path goes first.
 
-        Without a path, the distance is ``inf``, and the vertex 0.
+        Without a path, the distance is ``inf`` and the index is 0.
         """
         if len(x) > FEW:
             return self._first_turns_of_batch(x)
@@ -263,7 +279,11 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        """Return the distance and the first vertex of one point, to the bit as `_first_turns_of_batch` does."""
+        """Return the distance of one point to the goal, and the index of the vertex to which the path goes first.
+
+        ``place`` is the place of the point in the triangulation. The result equals `_first_turns_of_batch` in all
+        bits.
+        """
         # Go straight to the goal, else to the visible vertex of the least |x - vertex| + distance(vertex).
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
@@ -300,8 +320,12 @@ class VisibilityGraph:
 
 
 def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
-    """Return a box's convex pieces of free space, and the goals or corners to which paths from each may go first."""
-    # 1. Let all oracles share corners: those that were not made of one another may number them in different ways.
+    """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first.
+
+    Paths are the shortest paths to the nearest goal. Sources are the goals of ``graphs``, which are oracles of one
+    workspace, then the corners.
+    """
+    # 1. Let all oracles share corners. Oracles that were not made from one another may number them differently.
     first, count = graphs[0], len(graphs)
     graphs = [oracle if oracle.family is first.family else first.with_goal(oracle.goal) for oracle in graphs]
     corners, tables = first.family, [oracle._goal_table for oracle in graphs]

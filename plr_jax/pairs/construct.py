@@ -1,9 +1,9 @@
 """Construction of a PairPLR: distances between any two points of a planar workspace, stored in one file.
 
 :func:`construct_stored` rounds the boundary of free space to a lattice (:func:`outline_of`), joins corners by edges,
-and halves cells (:func:`grow_lists`). Each leaf lists the corners at which shortest paths from it may turn first. A
-query tries these corners. Corners that its point does not see cost time in vain, so cells with many such corners are
-halved first.
+and halves cells (:func:`grow_lists`). Each leaf lists the corners at which shortest paths from its points may turn
+first. A query tries the corners of its point's leaf. Corners that the point does not see cost time in vain, so cells
+with many such corners are halved first.
 """
 
 from bisect import bisect_left
@@ -43,10 +43,10 @@ _SLACK = 8  # number of workspace tolerances by which visibility may err
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float
 ) -> tuple[Outline, PointIndices]:
-    """Round the boundary of free space to a lattice; also return the boundary vertex at each point of the outline.
+    """Round the boundary of free space to a lattice; also return the vertex index of each point of the outline.
 
-    ``origin`` is the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at most the
-    ``tolerance``, if steps of at least 6e-8 widths allow it.
+    ``origin`` is the position of the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at
+    most the ``tolerance``, if a lattice step of at least 6e-8 widths allows it.
     """
     vertices, edges = boundary.vertices, boundary.edges
     # 1. Follow the rings. Where obstacles touch, several edges leave a vertex b. After an edge from a to b comes the
@@ -67,7 +67,10 @@ def outline_of(
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
-    """Return all points, ring by ring, and where each ring begins; point ``following[i]`` comes after point ``i``."""
+    """Divide points into rings; point ``following[i]`` comes after point ``i``.
+
+    Return ``(order, first)``: ring ``k`` has the points ``order[first[k] : first[k + 1]]``.
+    """
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -80,15 +83,16 @@ def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " 
 
 
 def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
-    """Follow the walls around obstacles instead of free space, so that paths may pass where obstacles touch.
+    """Open the contacts of an outline (points where obstacles touch), so that paths may pass between the obstacles.
 
-    Return the new outline, and the boundary vertex at each of its points, given those of the old outline.
+    The rings of the new outline follow walls around obstacles instead of around free space. ``vertex`` is the index
+    of the boundary vertex at each point of the outline. Return the new outline, and the vertex at each of its points.
 
-    All contacts stay closed if a wall of a thin obstacle begins or ends in a contact. For tests of visibility, walls
-    move back into their obstacles, so that rounding hides no corner, but walls of thin obstacles stay in place
-    (:meth:`Outline.moved_walls`). Beside an open contact, rounding would decide whether such a wall hides the corner
-    in the contact. Paths through a closed contact use several corners there, one in each sector of free space beside
-    it; edges join them (:func:`corners_in_outline`).
+    If a wall of a thin obstacle begins or ends in a contact, the result is the old outline: all contacts stay closed.
+    The reason is rounding: for tests of visibility, walls of thin obstacles stay in place, while other walls move
+    back (:meth:`Outline.moved_walls`). So rounding would decide whether a wall of a thin obstacle hides the corner in
+    an open contact. Paths pass a closed contact from one corner to another: :func:`corners_in_outline` makes one
+    corner for each sector of free space beside the contact.
     """
     # Whether the wall that leaves each point, or the one that arrives at it, belongs to a thin obstacle.
     is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
@@ -100,11 +104,12 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
-    """Return the largest power of two or ten to whose multiples points round distinctly, within the tolerance.
+    """Return the largest lattice step, a power of two or ten, such that points can be rounded to multiples of it.
 
-    Coordinates change by at most a quarter of the ``clearance``, the least distance of a point from a wall that does
-    not end there. If steps of at least ``FINEST`` widths are too coarse, return a finer power of two, without these
-    guarantees.
+    Rounded points must stay distinct. Coordinates may change by at most the ``tolerance``, and by at most a quarter
+    of the ``clearance``, the least distance of a point from a wall that does not end at the point. If no step of at
+    least ``FINEST`` times ``width``, the width of the domain, is fine enough, return a finer power of two. Then
+    nothing is guaranteed.
     """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
@@ -123,7 +128,7 @@ _IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Cells of the domain, and for each the corners of obstacles at which shortest paths from it may turn first."""
+    """Cells of the domain, and for each cell the corners at which shortest paths from its points may turn first."""
 
     cells: Cells
     # List entries: a cell, by its index, and a corner.
@@ -132,7 +137,7 @@ class Lists:
     by_all: Bool[np.ndarray, " entries"]  # whether all of the cell is known to see the corner
 
     def of_cells(self, rows: Int[np.ndarray, " some"]) -> "Lists":
-        """Return the lists of the cells at these indices, in their order."""
+        """Return the cells with the indices ``rows``, in this order, and their lists."""
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
         entries, cell = take_ragged(first, rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
@@ -144,10 +149,10 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """A growing tree of cells; each node lists the corners at which paths from it may turn first."""
+    """A growing tree of cells; each node lists the corners at which paths from points of its cell may turn first."""
 
     lists: Lists
-    key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most that of its parent
+    key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most the parent's priority
     is_leaf: Bool[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # -1 for the root
     visible: CellSources  # free convex pieces of each leaf, and the corners that each piece may see
@@ -156,7 +161,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the leaves of the tree in which only nodes with a larger key are halved."""
+        """Return the leaves of the smaller tree in which only nodes whose priority is above ``key`` are halved."""
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         is_halved = ~self.is_leaf & (self.key > key)
         is_in_tree = np.append(True, is_halved[self.parent[1:]])
@@ -168,7 +173,9 @@ def grow_lists(
 ) -> Lists:
     """Partition the domain into cells that list the corners of obstacles where shortest paths may turn first.
 
-    Halvings that help least are undone until the file, whose size ``num_bytes`` computes, fits ``limits.max_bytes``.
+    ``root`` has the convex pieces of all free space, and the corners that each piece may see. The result has at most
+    ``most_leaves`` cells. Halvings that help least are undone until the size of the file, which ``num_bytes``
+    computes from the cells and lists, is at most ``limits.max_bytes``.
     """
     # 1. Halve the cells of the largest keys in each round, until halving more makes queries no faster or a limit is
     #    reached. The sum of keys is the area times the mean number of corners tried in vain (see `_keyed_lists`).
@@ -196,7 +203,7 @@ def grow_lists(
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
-    """Halve cells of leaves ``nodes`` along their longest axis, and list the corners of both halves."""
+    """Halve the cells of the leaves with the indices ``nodes`` along their longest axis; list the halves' corners."""
     # The halves of all nodes are appended to the tree: lower, upper, lower, upper, ...
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)
@@ -220,7 +227,10 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limi
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:
-    """Return the cells' lists of corners, and their keys, priorities of halving."""
+    """Return the list of corners of each cell, and the priority with which the cell should be halved.
+
+    ``visible`` has the convex pieces of free space in the cells, and the corners that each piece may see.
+    """
     # A cell's key is the area of its free space, times the number of listed corners that not all of it may see. It is
     # 0 if the cell may not be halved.
     lists = Lists(cells, *corners_of_cells(visible))
@@ -230,13 +240,16 @@ def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Li
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
-    """Return the convex pieces of free space in the domain, one cell, and the corners that each piece may see."""
+    """Return the convex pieces of all free space in the domain, and the corners that each piece may see."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
-    """Build the content of a file of pairs, and the bytes of the file, at most ``max_bytes``."""
+    """Build the content of a file of distances between pairs of points; also return the bytes of the file.
+
+    The file has at most ``max_bytes`` bytes (None: 65,536).
+    """
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
@@ -275,7 +288,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
-    #    An edge (a, b) becomes an edge between each of the file's corners at a and each of those at b.
+    #    An edge (a, b) becomes edges between all of the file's corners at a and all of the file's corners at b.
     start, row_a = in_file(a[is_taut])
     end, row_b = in_file(b[is_taut][row_a])
     #    Join the file's corners at the same place in a chain, so that paths may pass from one to another.
@@ -317,10 +330,11 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 def corners_in_outline(
     outline: Outline, vertex: PointIndices, corner_of_vertex: Int[np.ndarray, " vertices"], squeezes: bool
 ) -> tuple[Int[np.ndarray, " corners"], Int[np.ndarray, " corners"]]:
-    """Return the outline points that are corners, ascending, and for each the index of its corner of the workspace.
+    """Return the indices of outline points that are corners, ascending, and for each the index of a workspace corner.
 
-    ``vertex`` is the boundary vertex at each point of the outline, -1 for none; ``corner_of_vertex`` the corner of
-    the workspace at each vertex, -1 for none.
+    ``vertex`` is the index of the boundary vertex at each point of the outline, -1 for none. ``corner_of_vertex`` is
+    the index of the workspace corner at each vertex, -1 for none. If paths may squeeze through contacts
+    (``squeezes``), all points of the outline at a closed contact become corners.
     """
     # 1. Find the points of corners, and choose one point for each corner: the first reflex one, else the first one.
     of_point = np.append(corner_of_vertex, -1)[vertex]  # the last entry is for vertex -1

@@ -1,8 +1,9 @@
 """Distances between all obstacle corners of a grid, by vertex elimination on the graph of visible corners.
 
-Eliminate corners one by one, and join the neighbors of each by edges as long as the path through it, unless shorter
-edges join them. In reverse order, each distance is then a minimum over the corner's neighbors at its elimination.
-``GRIDS.md`` has the proofs and references.
+Corners are eliminated one by one. When corner v is eliminated, an edge joins each pair of its neighbors a and b: as
+long as the path a-v-b, unless a shorter edge joins a and b. Distances are then computed in the reverse order: each
+distance from v is a minimum over the neighbors that v had when it was eliminated. ``GRIDS.md`` has the proofs and
+references.
 """
 
 import heapq
@@ -26,7 +27,10 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
-    """Return the path length in units, on an empty grid, of cells that are so many rows and columns apart."""
+    """Return the path length between cells that are ``rows`` and ``columns`` apart on an empty grid.
+
+    Lengths are integers, in units of which a straight step has ``STRAIGHT[connectivity]``.
+    """
     straight = abs(rows - columns)
     diagonal = (rows + columns - straight) // 2  # the smaller of rows and columns
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -57,7 +61,7 @@ def corner_cells(free: Grid) -> Grid:
 def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
     """Return all pairs of obstacle corners that see each other with no third corner in between.
 
-    Corners are numbered in row-major order. The two arrays hold the smaller and the larger number of each pair.
+    Corners have indices in row-major order. The two arrays hold the smaller and the larger index of each pair.
     """
     places = np.flatnonzero(corner_cells(free))
     corner_at = np.full(free.size, -1, np.int32)  # by cell, -1 for none
@@ -78,7 +82,8 @@ def taut_corners(
 ) -> tuple[Int[np.ndarray, " cells_plus_one"], Int32[np.ndarray, " pairs"]]:
     """Return, as a CSR matrix, the obstacle corners where a shortest path from each cell of a grid may bend first.
 
-    With the result ``(first, corners)``, the corners of cell ``i`` are ``corners[first[i] : first[i + 1]]``.
+    With the result ``(first, corners)``, the indices of the corners of cell ``i`` are
+    ``corners[first[i] : first[i + 1]]``. Cells have indices in row-major order.
     """
     from scipy.sparse import csr_array
 
@@ -184,11 +189,11 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
 
 
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, row by row of the sectors, the corners that still see cells of the row, how many, and the row's number.
+    """Yield ``(corner, width, i)`` for row ``i`` = 0, 1, ... of the sectors: which corners see how many of its cells.
 
-    Row ``i`` is ``i`` rows aside of the corner and extends ahead of it. A row ends with its first cell in
-    ``ends_row``. Later rows are at most as long, and end before the column (in an octant: the diagonal) of each cell
-    in ``ends_later``.
+    Row ``i`` of a corner's sector is ``i`` rows aside of the corner, and its first ``width`` cells are seen.
+    ``ends_row`` and ``ends_later`` are masks of cells. A row ends with its first cell in ``ends_row``. Later rows are
+    at most as long, and end before the column (in an octant: the diagonal) of each cell in ``ends_later``.
     """
     # A corner sees a cell of the next row if it sees the cell before it, straight or diagonally, and all cells up to
     # there allow this step.
@@ -214,7 +219,10 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
 
 
 def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
-    """Return the steps from each cell to the first wanted cell at or after it in its row, or to the row's end."""
+    """Return the number of steps from each cell to the first wanted cell at or after it in its row.
+
+    Without such a cell, the result is the number of steps to the end of the row.
+    """
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)  # the column of wanted cells, else the row's end
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)
@@ -239,7 +247,7 @@ _ANCESTOR_BYTES = 8  # of an ancestor and the distance to it
 
 
 def looked_up(table: Any, index: Any) -> Any:
-    """Return entries of a table, in NumPy or JAX like the index, which must be in the range."""
+    """Return ``table[index]``, a NumPy array if ``index`` is one, else a JAX array; indices must be in range."""
     if isinstance(index, np.ndarray):
         return np.asarray(table)[index]
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
@@ -247,7 +255,11 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
-    """Distances between all obstacle corners: those between centers near them, plus small differences."""
+    """Path lengths between all obstacle corners of a grid, stored as small differences.
+
+    A few corners are *centers*, and each corner has a center near it. The length between two corners is stored as its
+    difference from the length between their centers.
+    """
 
     center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
@@ -255,7 +267,10 @@ class CornerTable:
     differences: Integer[Array, " triangle"]
 
     def between(self, a: Any, b: Any) -> Any:
-        """Return distances between corners ``a`` and ``b``, arrays that broadcast; at least FAR without a path."""
+        """Return integer path lengths between corners with indices ``a`` and ``b``; at least FAR without a path.
+
+        The shapes of ``a`` and ``b`` must broadcast.
+        """
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         high, low = xp.maximum(a, b), xp.minimum(a, b)
         center, other = (looked_up(self.center, corner).astype(np.int32) for corner in (a, b))
@@ -265,10 +280,11 @@ class CornerTable:
 
 @pytree
 class CornerLabels:
-    """Distances from each obstacle corner of a grid to its ancestors in a tree; a corner is its own last ancestor.
+    """Path lengths from each obstacle corner of a grid to its ancestors in a tree.
 
-    The distance between two corners is the least sum of their distances to a common ancestor. Vertex elimination
-    gives the tree: a corner's parent is, of its neighbors when it is eliminated, the one eliminated next.
+    A corner counts as its own last ancestor. The distance between two corners is the least sum of their distances to
+    a common ancestor. Vertex elimination gives the tree: the parent of a corner is the neighbor that is eliminated
+    next after the corner.
     """
 
     first: Int32[Array, " corners_plus_one"]  # index of each corner's first entry
@@ -276,7 +292,10 @@ class CornerLabels:
     length: Int32[Array, " ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
-        """Return distances between corners ``a`` and ``b``, arrays that broadcast; ``_NO_PATH`` without a path."""
+        """Return integer path lengths between corners with indices ``a`` and ``b``; ``_NO_PATH`` without a path.
+
+        The shapes of ``a`` and ``b`` must broadcast.
+        """
         # Lists of ancestors begin at the root. So both lists begin alike, and agree nowhere after they first differ.
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
@@ -307,7 +326,10 @@ _Edges = list[dict[int, int]]  # for each corner, lengths of edges by their othe
 
 
 def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
-    """Return path lengths between all obstacle corners of a grid; ``ValueError`` if they are too many or too long."""
+    """Return the path lengths between all obstacle corners of a grid, as a table or, for many corners, as labels.
+
+    ``ValueError`` if there are too many corners, or paths are too long.
+    """
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds two straight legs
     if most < 0:
         raise ValueError(_TOO_LONG)
@@ -361,7 +383,8 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
 def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
     """Eliminate all corners; return their order, and the edges of each corner to corners eliminated later.
 
-    Modifies ``edges`` in place: they become the edges that corners have when they are eliminated.
+    ``edges[i]`` maps each neighbor of corner ``i`` to the length of the edge. It is modified in place, and becomes
+    the second result: the edges that corner ``i`` has when it is eliminated.
     """
     # Eliminate corners with few neighbors first, because all their neighbors are joined to one another, and corners
     # of low level, because the tree of ancestors should be shallow. The level is the length of the longest chain of
@@ -396,7 +419,11 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
-    """Return the distances of each corner to its ancestors, listed in the reverse order of elimination."""
+    """Return the path lengths from each corner to its ancestors in the tree of vertex elimination.
+
+    ``order`` has the corners in the order of elimination, and ``uppers[i]`` maps each neighbor of corner ``i`` that
+    is eliminated later to the length of the edge.
+    """
     # 1. A corner's parent is the neighbor eliminated next. Its depth is the number of ancestors above it.
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))

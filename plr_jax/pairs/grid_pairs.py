@@ -41,7 +41,7 @@ _C_MAGIC = b"plr_jax grid 1\n\0"
 
 
 def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> bytes:
-    """Return the file of a grid: header, bits, checksum (``FORMAT.md``)."""
+    """Return the bytes of a grid's file: header, one bit for each cell (entropy-coded), checksum (``FORMAT.md``)."""
     # The bits tell which cells differ from the cell above, so most are 0.
     body = BitWriter().write_set(np.diff(free, axis=0, prepend=False).ravel()).to_bytes()
     size = _HEADER.size + len(body) + _CRC.size
@@ -50,7 +50,7 @@ def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> by
 
 
 def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
-    """Decode which cells are free, and the connectivity; ``ValueError`` if the data are invalid."""
+    """Decode a grid's file: which cells are free, and the connectivity; ``ValueError`` if the data are invalid."""
     if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
@@ -75,7 +75,7 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
 
 @dataclass(frozen=True, eq=False)
 class GridHeader:
-    """The ``text`` of a C header, and the bytes of the file (``table``) that its code reads."""
+    """C code for a grid: the ``text`` of a C header, and ``table``, the bytes of the file that the code reads."""
 
     text: str
     table: bytes
@@ -102,7 +102,10 @@ class DistanceToCell:
         return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances in steps from points ``(..., 2)`` to the goal, bit for bit as :class:`GridPairs` does."""
+        """Return distances ``(...)`` in steps from the cells of points ``(..., 2)`` to the goal cell.
+
+        The result is bit for bit that of :class:`GridPairs`.
+        """
         return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
 
 
@@ -127,10 +130,11 @@ class GridPairs:
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Return lengths of shortest paths between the cells of points; diagonal steps (if any) count ``sqrt(2)``.
 
-        Lengths are in steps. Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row
-        ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are
-        symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or
-        a point is outside the grid or NaN. For many points, a function is compiled for each shape.
+        Lengths are in steps. The shapes of points ``x`` and ``y``, ``(..., 2)``, must broadcast, else ``ValueError``.
+        The cell in row ``r`` and column ``c`` has the points ``(a, b)`` with ``c <= a < c + 1`` and
+        ``r <= b < r + 1``. Lengths, ``(...)``, are symmetric bit for bit, and 0 within a cell. They are ``inf`` if no
+        path joins the cells, a cell is blocked, or a point is outside the grid or NaN. For many points, a function is
+        compiled for each shape of the arrays.
         """
         points = _as_points("x", x), _as_points("y", y)
         shape = broadcast_shape("x and y", *points)
@@ -143,18 +147,19 @@ class GridPairs:
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds, ``(...)`` each, of the lengths of shortest paths.
 
-        Points are given as for a call. The lower bound is the answer of a call. The upper bound is equal on
-        4-connected grids; on 8-connected grids it adds what rounding may have taken off.
+        Points are given as for a call. The lower bound is the answer of a call. On 4-connected grids, the upper bound
+        is the same number. On 8-connected grids, it is larger by the most that rounding may have taken off.
         """
         lower = self(x, y)
         return lower, lower if self.tables.connectivity == 4 else lower * (1 + SLACK)
 
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
-        """Return path lengths in whole steps to goals from all cells in squares around agents.
+        """Return the path length to each agent's goal from all cells of a square around the agent, in whole steps.
 
-        Lengths are rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. They are -1 in
-        blocked cells, outside the grid, without a path, and in all cells if the agent or the goal is outside. A
-        function is compiled for each number of agents and radius. It works inside jitted functions.
+        The result has the axes agent, row (along ``y``) and column: ``(n, 2 radius + 1, 2 radius + 1)``. Lengths are
+        rounded down. They are -1 in blocked cells, outside the grid, without a path, and in all cells if the agent or
+        the goal is outside the grid. The method works inside jitted functions. It compiles once for each number of
+        agents and each radius.
 
         Args:
             goals: A point in the goal cell of each agent, ``(n, 2)``, else ``ValueError``.
@@ -203,11 +208,12 @@ class GridPairs:
         return np.asarray(self.file).tobytes()
 
     def c_header(self, name: str) -> GridHeader:
-        """Return C99 code, also valid C++, that answers the same queries, and its file of tables.
+        """Return C99 code, also valid C++, that answers the same queries, and the file of tables that it reads.
 
-        ``int32_t NAME_steps(uint32_t from, uint32_t to)`` takes cells by their numbers in row-major order. Programs
-        map the file (``mmap``) or read it, and pass its bytes to ``NAME_open``. The code allocates nothing and is
-        safe in threads. ``name``, a C identifier (else ``ValueError``), replaces NAME in all definitions.
+        ``int32_t NAME_steps(uint32_t from, uint32_t to)`` takes cells by their indices in row-major order. A program
+        maps the file into memory (``mmap``) or reads it, and passes the bytes to ``NAME_open``. The code allocates
+        nothing and is safe in threads. ``name``, a C identifier (else ``ValueError``), replaces NAME in all
+        definitions.
         """
         require_identifier(name)
         tables, distances = self.tables, self.tables.distances
@@ -260,7 +266,7 @@ class GridPairs:
 
     @staticmethod
     def from_bytes(data: bytes) -> "GridPairs":
-        """Restore a GridPairs from the result of :meth:`to_bytes`; it answers the same, bit for bit.
+        """Restore a GridPairs, with bit for bit the same answers, from the result of :meth:`to_bytes`.
 
         This takes as long as construction. An interrupt (Ctrl-C) discards the work. ``ValueError`` if the bytes are
         truncated, corrupt or of another kind, or as for :func:`construct_grid_pairs`.
@@ -272,16 +278,16 @@ class GridPairs:
 
 
 def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
-    """Compute distances between all pairs of cells of a grid, given as a :class:`GridGraph` or its free cells.
+    """Build a function of the distance between any two cells of a grid.
 
         pairs = plr_jax.construct_grid_pairs(free)
         pairs(x, y)  # path lengths (n,) in steps between the cells of points x and y, both (n, 2)
 
-    Free cells are booleans ``(rows, columns)``; the grid is then 4-connected. Other grids are GridGraphs, with or
-    without a goal. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory, 8-connected 15 s and 1.4 GB.
-    ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``. ``ValueError`` if
-    ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected) paths of over a million steps, or needs a
-    table of more than 2**30 bytes or minutes of work.
+    ``graph`` is a :class:`GridGraph`, with or without a goal, or an array of booleans ``(rows, columns)``, True in
+    free cells, for a 4-connected grid. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory, or 15 s
+    and 1.4 GB if it is 8-connected. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises
+    ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected)
+    paths of over a million steps, or needs a table of more than 2**30 bytes or minutes of work.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 
@@ -298,7 +304,7 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
-    """Check points ``(..., 2)``; outside of JAX, also round them down to the lower corners of their cells."""
+    """Check and return points ``(..., 2)``; coordinates are rounded down to integers unless in a JAX array."""
     if not isinstance(x, jax.Array):
         # Round down before numbers become 32-bit. Both limits are outside of every grid.
         x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)

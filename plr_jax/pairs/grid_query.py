@@ -1,10 +1,12 @@
 """Distances between pairs of grid cells in JAX.
 
-Cells that see each other are as far apart as on an empty grid. Other shortest paths lead from each cell, as on an
-empty grid, to one of up to dozens of obstacle corners that are stored for the cell, in blocks of four. First choose
-for each of the two cells the corner through which the path would be shortest on an empty grid, and compute the length
-of the path through these two corners. Then try only blocks with a corner through which a path on an empty grid would
-be shorter than this length.
+Cells that see each other are as far apart as on an empty grid. Otherwise a shortest path passes two obstacle corners:
+one that is stored for its first cell, and one that is stored for its last cell. A cell has up to dozens of corners,
+stored in blocks of four. From a cell to its corner, the path is as long as on an empty grid.
+
+First choose for each of the two cells the corner through which a path on an empty grid would be shortest. Compute the
+length of the path through these two corners. Then try only the blocks with a corner through which a path on an empty
+grid would be shorter than this length.
 """
 
 from collections.abc import Callable
@@ -50,7 +52,10 @@ _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 
 @pytree
 class IllegalSteps:
-    """Tables of a grid: which cells are free, and prefix sums by which :func:`sees` tests pairs of cells."""
+    """Tables of a grid: which cells are free, and prefix sums that count blocked cells and illegal diagonal steps.
+
+    From the prefix sums, :func:`sees` counts the blocked cells or illegal steps between two cells.
+    """
 
     sums: Integer[Array, " sums"]  # flattened tables, each with a row and a column of zeros in front
     free: UInt32[Array, " words"]  # one bit for each cell in row-major order, lowest bit of a word first
@@ -59,7 +64,7 @@ class IllegalSteps:
 
 
 def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
-    """Build the tables by which :func:`sees` tests whether cells see each other."""
+    """Build the tables of a grid by which :func:`sees` tests whether two cells see each other."""
     # A table of sums has a row and a column of zeros in front. Entry (r + 1, c + 1) counts
     # - 4-connected: blocked cells in rows up to r and columns up to c;
     # - 8-connected, row sums: blocked cells in row r and columns up to c;
@@ -104,9 +109,10 @@ def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
-    """Return, for pairs of cells, whether each path that is shortest on an empty grid is free of obstacles.
+    """Return, for each pair of cells ``p[i]`` and ``q[i]``, whether they see each other.
 
-    A cell that is not free sees no cell.
+    Two cells see each other if both are free and no obstacle blocks any path between them that would be shortest on
+    an empty grid.
     """
     xp: Any = np if isinstance(p, np.ndarray) else jnp
     sums = xp.asarray(sight.sums)
@@ -126,7 +132,7 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     #        row   p . . . .          `aside` is the number of rows from p to q. The slanted sum of the last row,
     #                . . . . .        from column + aside to last_column, counts the steps that end in this slanted
     #   last_row       . . . . q      band in the last row or above. The slanted sum of the first row, from column
-    #                                 to last_column - aside, counts those that end in the first row or above.
+    #                                 to last_column - aside, counts the steps that end in the first row or above.
     #
     # 1. Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     offset = q - p
@@ -160,11 +166,14 @@ _BLOCKS_AT_ONCE = 2**20  # blocks filled together during construction
 
 @pytree
 class GridTables:
-    """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances."""
+    """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances.
+
+    The corners of a cell are stored in blocks of four.
+    """
 
     sight: IllegalSteps
     group_block: Int32[Array, " groups"]  # first block of corners of each group of 16 cells, in row-major order
-    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to that of its group
+    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to its group's first block
     blocks: Integer[Array, "blocks 4"]  # corners of cells; a cell's last corner fills up its last block
     row: Int32[Array, " corners"]
     column: Int32[Array, " corners"]
@@ -204,7 +213,7 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     )
 
 
-_SORTED_BITS = 18  # bits of the index of a pair among those sorted together
+_SORTED_BITS = 18  # bits of the index of a pair among the pairs sorted together
 _CHUNK = 1024  # pairs per chunk
 _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
 _MOST_SORTED = 2**7 - 1  # larger numbers of blocks count as this in sorting
@@ -218,7 +227,7 @@ SLACK = 2.0**-20
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return the numbers of steps between the cells of points, ``inf`` outside the grid or without a path."""
+    """Return path lengths in steps between the cells of points, ``inf`` outside the grid or without a path."""
     (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     lengths = lengths_between_cells(tables, p, q)
     return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
@@ -227,7 +236,10 @@ def evaluate_pairs(
 def evaluate_few(
     tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch"] | None:
-    """Answer as :func:`evaluate_pairs` in NumPy; None if there are so many pairs that compiled code is as fast."""
+    """Return path lengths in steps as :func:`evaluate_pairs` does, but computed in NumPy, without compilation.
+
+    The result is None for so many pairs that compiled code is as fast.
+    """
     # 1. Answer pairs of cells that see each other.
     (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     if len(p) > _MOST_FEW:
@@ -255,7 +267,10 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
+    """Return path lengths in steps from the cells of points ``x`` to the cell ``goal`` (row, column).
+
+    ``from_goal`` has the integer path lengths from the goal to all obstacle corners.
+    """
     p, is_inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     around = partial(_least_around, tables, onward=partial(looked_up, from_goal))
@@ -291,7 +306,10 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
-    """Return path lengths between cells; pairs are sorted, so that the pairs of a chunk take equally long."""
+    """Return integer path lengths between cells ``p[i]`` and ``q[i]``; FAR without a path.
+
+    Pairs are answered in chunks. They are sorted first, so that the pairs of a chunk take equally long.
+    """
     # A loop over blocks takes as long for a chunk as for its slowest pair.
     is_seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
@@ -323,7 +341,12 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path."""
+    """Return the length of a likely shortest path for each pair of cells, and the blocks that may have a shorter one.
+
+    Blocks are groups of four corners. The second and third result have the blocks of cells ``p`` and ``q``, as bits
+    of an integer (see :class:`_OpenBlocks`). ``is_seen`` says which pairs of cells see each other. For these pairs no
+    path is shorter, so the results have no blocks.
+    """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)
     total = leg + tables.distances.between(corner, other) + other_leg
@@ -335,9 +358,10 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tupl
 
 
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: Flags) -> tuple[_Lengths, _Lengths]:
-    """Return the stored corner of each cell over which the path would be shortest on an empty grid, and its distance.
+    """Return the index of one of the corners stored for each cell, and the path length from the cell to this corner.
 
-    The distance is the path length from the cell to the corner; FAR if the cell has no corner or sees the other cell.
+    Over this corner, a path from ``cells[i]`` to ``others[i]`` would be shortest on an empty grid. The length is FAR
+    if the cell has no corner or ``is_seen``, which says whether both cells see each other, is true.
     """
     first, count = _blocks_of(tables, cells)
     count = jnp.where(is_seen, 0, count)
@@ -372,7 +396,10 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _OpenBlocks(NamedTuple):
-    """For each cell, which of its blocks (of four corners each) a search still has to try: a bit for each block."""
+    """The blocks (of four corners each) that a search still has to try for each cell, one bit for each block.
+
+    Blocks after the first 32 are always tried.
+    """
 
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
@@ -396,7 +423,11 @@ class _OpenBlocks(NamedTuple):
 
 
 def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
-    """Return the least of ``length`` and of paths over one of the corners left for each of both cells."""
+    """Return, for each pair of cells, the length of the shortest path over two corners, but at most ``length``.
+
+    The corners are in open blocks: one in a block of ``open_p``, which belongs to the first cell, the other in a
+    block of ``open_q``, which belongs to the second cell.
+    """
 
     # Loop over all pairs of a word of the first cell and a word of the second cell, then over pairs of set bits.
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
@@ -447,7 +478,7 @@ def _least_around(tables: GridTables, cells: Cells, onward: Callable[[_Corners],
 
 
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
-    """Return the first block of corners that each cell lists, and the number of its blocks."""
+    """Return the index of the first block of corners of each cell, and the number of the cell's blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
         looked_up(tables.group_block, index // GROUP) + looked_up(tables.cell_block, index).astype(np.int32)
@@ -462,7 +493,7 @@ def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scal
 
 
 def _in_steps(connectivity: int, length: Ints, is_inside: Flags) -> Any:
-    """Convert lengths in integer units to numbers of steps; ``inf`` outside the grid or without a path."""
+    """Convert integer path lengths to lengths in steps, rounded down, ``inf`` outside the grid or without a path."""
     xp: Any = np if isinstance(length, np.ndarray) else jnp
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     # A whole number of straight steps is exact. Other lengths are rounded down: answers are never above the truth.

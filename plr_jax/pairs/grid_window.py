@@ -1,8 +1,9 @@
 """Windows of distances around agents on a grid, in JAX.
 
-First find the distances of the cells on the rim of each window. If distances of two rim cells differ by as many steps
-as the cells are apart, distances in between change by one step per cell; else a cell halfway is looked up as well.
-Then spread the distances of the rim into the window, by sweeps.
+A window is a square of cells around an agent, and its rim is the cells on its border. First find the distances from
+rim cells to the goal. If the distances of two rim cells differ by the number of steps between the cells along the
+rim, distances in between change by one step from cell to cell. Otherwise the distance of the cell halfway is looked
+up as well. Then spread distances from the rim into the window, by sweeps.
 """
 
 from functools import partial
@@ -34,7 +35,8 @@ def distances_around(
 ) -> Int32[Array, "n width width"]:
     """Return path lengths to each agent's goal from all cells of a square around the agent.
 
-    Lengths are in steps, rounded down; -1 without a path.
+    Lengths are in steps, rounded down; -1 without a path. ``goals`` and ``positions`` of agents are points. The
+    square has ``radius`` cells on each side of the agent's cell.
     """
     # 1. Find the cells of the squares: offsets (rows, columns), agents last.
     (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
@@ -55,7 +57,8 @@ def distances_around(
         rim = np.zeros(1, int), np.zeros(1, int)
     cells = jnp.stack([row[rim], column[rim]], axis=-1)
     # 3. Find lengths of the rim. Look up first the corners toward and away from the goal: lengths between them mostly
-    #    follow. These are 2r and 6r if row and column change in opposite directions towards the goal, else 0 and 4r.
+    #    follow. The two corners are 2r and 6r if row and column change in opposite directions towards the goal, else
+    #    0 and 4r.
     is_turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
     looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == 2 * radius * is_turned
     lengths = _lengths_of_rim(tables, cells, free[rim], goal, looked_up_first)
@@ -70,10 +73,12 @@ def distances_around(
 def _lengths_of_rim(
     tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, looked_up_first: _RimFlags
 ) -> Rim:
-    """Return the path length from each cell of a square's rim to the goal; few cells are looked up in the tables.
+    """Return the path length from each rim cell of each agent's square to the agent's goal; FAR without a path.
 
-    Neighbor cells differ by at most a step. If the lengths of two cells of the rim differ by all steps between them,
-    the lengths between follow. Else the cell in the middle is looked up.
+    ``cells`` are the rows and columns of the rim cells, and ``free`` says which are free. Only some lengths are
+    looked up in the tables, first those of the cells in ``looked_up_first``. Lengths of neighbor cells differ by at
+    most one step. So if the lengths of two rim cells differ by the number of steps between the cells, the lengths in
+    between follow. Otherwise the length of the cell in the middle is looked up.
     """
     # Free cells next to a blocked cell of the rim are looked up at once, so that both ends of each run of free cells
     # are known.
@@ -114,13 +119,14 @@ def _lengths_of_rim(
 
 
 def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
-    """Return ``lengths`` with the entries where ``is_wanted`` replaced by path lengths that the tables tell.
+    """Return ``lengths`` with new values from the tables where ``is_wanted``.
 
-    Paths lead from ``cells``, those on the rim (the border) of each agent's window, to the agent's ``goal``.
+    ``cells`` are the cells on the rim (the border) of each agent's window. Lengths are those of paths from these
+    cells to the agent's ``goal``.
     """
-    # 1. List the wanted cells agent by agent: a wanted cell comes after those of agents before, and those before it
-    #    on its own rim. `count` has the number of each agent's wanted cells, `until` that up to each cell. Cells are
-    #    numbered in the order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.
+    # 1. List the wanted cells agent by agent, and for each agent in the order of its rim. `count` is the number of
+    #    wanted cells of each agent, `until` the number on its rim up to and with each cell. Cells are numbered in the
+    #    order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.
     size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
     all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -144,7 +150,10 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim
 
 
 def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
-    """Extend path lengths, known in some cells of squares, to all free cells of the squares."""
+    """Extend path lengths from some cells of each square to all free cells of the square.
+
+    ``lengths`` are FAR in cells whose length is not yet known, and ``free`` says which cells are free.
+    """
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 

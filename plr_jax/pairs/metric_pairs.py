@@ -21,8 +21,8 @@ from plr_jax.plr.frame import Frame
 class MetricPairs:
     """Approximate distances between any two points of a box, stored as one PLR over pairs of points.
 
-    Made by :func:`construct_metric_pairs`; to load a file, use ``MetricPairs(load(path))``. It is a pytree of arrays.
-    ``plr``, which :func:`save` writes, covers the product of the box with itself; calls sort pairs lexicographically.
+    Make it by :func:`construct_metric_pairs`. It is a pytree of arrays. Its ``plr`` covers the product of the box
+    with itself. To write a file, use ``save(pairs.plr, path)``; to load a file, use ``MetricPairs(load(path))``.
     """
 
     plr: PLR
@@ -30,9 +30,9 @@ class MetricPairs:
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Return approximate distances, also under ``jax.jit``, ``vmap`` and ``grad`` in both arguments.
 
-        Points ``x`` and ``y``, ``(..., dim)`` (else ``ValueError``), NumPy or JAX, broadcast. Answers, ``(...)``, are
-        at least 0, symmetric to the last bit, and 0 for ``x == y`` in the box. They are ``inf`` outside the box and
-        in leaves without a pair of points that a path joins, NaN for NaN.
+        Points ``x`` and ``y``, ``(..., dim)`` (else ``ValueError``), are NumPy or JAX arrays whose shapes broadcast.
+        Distances, ``(...)``, are at least 0, symmetric to the last bit, and 0 for ``x == y`` in the box. They are
+        ``inf`` outside the box and in leaves without a sampled pair of points that a path joins, NaN for NaN.
         """
         x, y = (p if isinstance(p, jax.Array) else as_queries(p) for p in (x, y))
         for name, points in (("x", x), ("y", y)):
@@ -54,7 +54,7 @@ class MetricPairs:
         return jnp.where(is_one_point, jnp.zeros_like(value), jnp.maximum(value, 0))
 
     def _ends(self) -> tuple[Any, Any, Bool[np.ndarray, "dim"]]:
-        """Return both corners of the box, and which of its axes are periodic."""
+        """Return the lower and the upper corner of the box of points, and which of its axes are periodic."""
         # If JAX traces the file, the corners come from the tables, in two parts of 32 bits each.
         periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
         if not is_traced(self.plr.file):
@@ -83,8 +83,8 @@ def construct_metric_pairs(
         pairs(x, y)  # approximate distances (n,) of points x and y, both (n, dim)
 
     The PLR has twice as many dimensions as the box. For distances in a planar workspace use :func:`construct_pairs`,
-    which is exact. If interrupted (Ctrl-C), the result has the partition so far. Reference: "all-pairs" in Section II
-    of the paper.
+    which is nearly exact. If interrupted (Ctrl-C), the result has the partition so far. Reference: "all-pairs" in
+    Section II of the paper.
 
     Args:
         distance_fn: Distances ``(n,)`` between two arrays of points ``(n, dim)``, symmetric, ``inf`` without a path.
@@ -110,7 +110,7 @@ def construct_metric_pairs(
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:
-    """Return whether each point ``x`` comes after ``y`` lexicographically."""
+    """Return whether each point of ``x`` comes later in lexicographic order than the point of ``y`` in its row."""
     later, equal = x[..., 0] > y[..., 0], x[..., 0] == y[..., 0]
     for axis in range(1, x.shape[-1]):
         later, equal = later | (equal & (x[..., axis] > y[..., axis])), equal & (x[..., axis] == y[..., axis])

@@ -1,12 +1,12 @@
 """Fast tests of whether obstacles hide points from each other, for the queries of a PairPLR in ``query.py``.
 
-- :class:`NearWalls` tests a point and a corner. A leaf of the partition lists the corners where paths from it may
-  turn first. Only the few walls between the leaf and such a corner can hide it. :func:`near_entries` finds these
-  walls for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
-  corner is not between a part of the box and the corner.
-- Occluders, long chords inside obstacles, test any two points. Tests of a few dozen chords replace most tests of
-  walls.
-- :func:`updated`: compute only the rows of an array that need it, in batches.
+- :class:`NearWalls` tests a point and a corner. A leaf of the partition lists the corners where paths from its points
+  may turn first. Only the few walls between the leaf and such a corner can hide the corner. :func:`near_entries`
+  finds these walls, first for runs of neighbor leaves, then for ever shorter runs: a wall that is not between a large
+  box and a corner is not between a part of the box and the corner.
+- Occluders are long chords inside obstacles. If the segment between two points crosses an occluder, an obstacle hides
+  the points from each other. Tests of a few dozen occluders replace most tests of walls.
+- :func:`updated` recomputes only some rows of an array, in batches.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list en
 
 @pytree
 class NearWalls:
-    """The walls between each leaf, a box of the domain, and the corners that it lists as first turns of paths."""
+    """For each leaf (a box of the domain) and each corner that it lists, the walls that may hide the corner."""
 
     # Both ends (ax, ay, bx, by) of walls: the walls of the first list entry, of the second one, and so on. Entries
     # are sorted by leaf; `first[leaf, place]` is the index of the first wall of the leaf's corner at this place.
@@ -74,10 +74,11 @@ class NearWalls:
     def of(
         boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, shape: _Shape
     ) -> "NearWalls | None":
-        """Find the walls of each list entry; None if testing all walls is as fast.
+        """Find the walls that may hide each listed corner from points of its leaf; None if they are too many.
 
-        Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``, which ascends. ``shape`` is that of
-        ``first``.
+        List entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``, both indices; leaves ascend. A wall
+        may hide the corner if it is within ``margin`` of the convex hull of the leaf and the corner. ``shape`` is the
+        shape of the array ``first``.
         """
         # For each entry, a query reads as many walls as the longest list has. A wall that a point reads for itself
         # takes `_COST` times as long as a wall that all points share. So no time is saved if the longest list has
@@ -97,7 +98,10 @@ class NearWalls:
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-        """Return whether walls hide corners from points; ``place`` is the corner's index in the leaf's list."""
+        """Return whether walls hide a corner from each point ``x[i]`` of leaf ``leaf[i]``.
+
+        The corner is at ``corner[i]``, and has the index ``place[i]`` in the list of the leaf.
+        """
         # The first walls decide most rows. The others are tested against all walls of their entries, in batches.
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
@@ -131,10 +135,10 @@ class NearWalls:
 def updated(
     state: State, is_open: Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
-    """Replace the rows of ``state``, a tree of arrays, where ``is_open``, in batches of ``size`` rows.
+    """Replace the rows of ``state``, a tree of arrays, where ``is_open`` is true, in batches of ``size`` rows.
 
-    ``update`` maps rows of ``state`` and of the ``columns`` to new rows of ``state``. With ``leaves_rest``, the last
-    batch is left out if it has fewer than ``size`` rows and is not the only batch.
+    ``update`` maps rows of ``state``, and the same rows of the arrays ``columns``, to new rows of ``state``. With
+    ``leaves_rest``, the last batch is left out if it has fewer than ``size`` rows and is not the only batch.
     """
     # 1. Pack flags into words. Bit b of word w tells whether row b * len(words) + w is open. With 3 words, rows are
     #
@@ -173,9 +177,10 @@ def updated(
 def near_entries(
     boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, most: int
 ) -> NearPairs | None:
-    """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
+    """Find the walls near the convex hull of a leaf's box and a corner, for each corner that the leaf lists.
 
-    Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``. Return pairs of an entry and a wall; None if an
+    Entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``. Return pairs of an entry and a wall, as
+    indices. No wall within ``margin`` of the hull is missing; a few walls are farther away. The result is None if an
     entry has more than ``most`` walls, or all pairs take too much memory.
     """
     # Leaves ascend in `leaf`, entries in the result. A few of the walls found are farther away. Corners are handled
@@ -245,7 +250,10 @@ def _near_entries(
 def _near_pairs(
     hulls: Hulls, entry: PairIndices, walls: Walls, wall: PairIndices, margin: float
 ) -> Int[np.ndarray, " near"]:
-    """Return the indices of pairs, a hull ``entry[k]`` and a wall ``wall[k]`` each, that are near one another."""
+    """Return the indices ``k`` for which the hull of index ``entry[k]`` and the wall of index ``wall[k]`` are near.
+
+    No pair within ``margin`` of one another is missing; a few pairs are farther apart.
+    """
     # A wall is apart if an axis across a side of the hull or across the wall separates both by more than the margin.
     # Below, `u x v` is the cross product, positive if v is to the left of u.
     lo, hi, corner = hulls
@@ -300,10 +308,11 @@ def _near_pairs(
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
     """Choose occluders: segments at least ``depth`` inside obstacles that hide many points from one another.
 
-    ``region`` is free space, a Shapely geometry. A row ``(ax, ay, bx, by, nx, ny, offset)`` has both ends of an
-    occluder, relative to the middle of the domain, and the linear function ``nx x + ny y - offset``: 0 on the
-    occluder's line, beyond 1 or -1 where rounding cannot confuse its sides. Each occluder hides at least a share of
-    ``2 / num_walls`` of random pairs of points, which saves tests of all walls.
+    ``region`` is free space, a Shapely geometry. A row ``(ax, ay, bx, by, nx, ny, offset)`` of the result has both
+    ends of an occluder, relative to the middle of the domain, and a linear function ``nx x + ny y - offset``. The
+    function is 0 on the occluder's line. Points with a value above 1 or below -1 are on a side that rounding cannot
+    change. Each occluder hides at least a share of ``2 / num_walls`` of random pairs of free points, so that it saves
+    more tests of walls than it costs.
     """
     import shapely  # other queries do not need Shapely
 
@@ -326,7 +335,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     shapely.prepare(region)
     is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
     p, q = x[is_free].T, y[is_free].T
-    a, b = chords.transpose(1, 2, 0)[..., None]  # coordinates (2, chords, 1); those of p and q are (2, pairs)
+    a, b = chords.transpose(1, 2, 0)[..., None]  # coordinates (2, chords, 1); p and q have the shape (2, pairs)
 
     def left_of(a: Any, b: Any, p: Any) -> Any:
         (ax, ay), (bx, by), (px, py) = a, b, p
@@ -351,9 +360,10 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
 
 
 def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
-    """Return whether segments surely cross an occluder, a row of :func:`occluders_of`, despite rounding.
+    """Return whether each segment from ``x[i]`` to ``y[i]`` crosses an occluder, whatever the rounding.
 
-    Ends of segments are relative to the middle of the domain. The loop over the 16 rows of a group is unrolled.
+    Each group of ``occluders`` has 16 rows as :func:`occluders_of` returns. Points are relative to the middle of the
+    domain.
     """
     # A segment p-q crosses the occluder a-b if p and q are on two sides of the occluder's line, and a and b on two
     # sides of the line p-q: one of d x a and d x b is at least the moment d x p, the other less, with d = q - p.

@@ -27,10 +27,11 @@ Point = Float[np.ndarray, "2"]
 
 
 def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Point) -> PLR:
-    """Return the distance to a goal, whose distances to all corners are given, as a PLR with a cone in each leaf.
+    """Return the distance to a goal as a PLR with a cone in each leaf.
 
-    A cone is the distance to its apex, a corner or the goal, plus the distance from the apex to the goal. Each leaf
-    gets the cone that fits it best, and is halved a few times if none fits well.
+    ``pairs`` is the distance between any two points, and ``to_corners`` has the distance from the goal to each
+    corner. A cone is the distance to its apex, a corner or the goal, plus the distance from the apex to the goal.
+    Each leaf gets the cone that fits it best, and is halved a few times if no cone fits well.
     """
     domain = stored.domain
     sources = _sources(stored, to_corners, goal)
@@ -59,12 +60,12 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Po
 
 
 def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sources:
-    """Return the goal and the corners where shortest paths to it turn, each with its distance and its next turn.
+    """Return the goal (source 0) and all corners (source ``1 + i`` is corner ``i``) as sources of cones.
 
-    Source 0 is the goal, source ``1 + i`` is corner ``i``. A corner whose next turn is not found has distance
-    ``inf``.
+    Each source has its distance to the goal, and the next turn of the shortest path. A corner whose next turn is not
+    found gets the distance ``inf``.
     """
-    # 1. The next turn is the goal if the distance is that of a straight line, up to rounding.
+    # 1. The next turn is the goal if the distance is the length of a straight line, up to rounding.
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, to_corners)
     slack = _ROUNDING * (distances + stored.domain.width.max())
@@ -87,9 +88,10 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, leaf: Int[np.ndarray, " cells"]
 ) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
-    """Return the apex of the cone with the least mean error in each cell, and this error; -1 and 0 for no cone.
+    """Return the index in ``sources`` of the apex whose cone has the least mean error in each cell, and this error.
 
-    Apexes are indices in ``sources``: the goal and the corners listed by ``leaf``, the leaf that holds the cell.
+    Possible apexes of cell ``i`` are the goal, and the corners that leaf ``leaf[i]``, which holds the cell, lists.
+    The result is -1 and 0 for a cell without a cone.
     """
     # 1. Compute distances of sample points, `inf` outside free space.
     x = cells.points(_SAMPLES, stored.domain)
@@ -111,7 +113,10 @@ def _best_sources(
 
 
 def _merge_halves(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells, Int[np.ndarray, " kept"]]:
-    """Merge halves of a cell whose cones have the same apex, ``source``; return the leaves and their apexes."""
+    """Merge both halves of a cell, again and again, if their cones have the same apex.
+
+    ``source`` is the apex of each leaf of ``tree``, as an index. Return the cells that are left, and their apexes.
+    """
     # 1. From the leaves up: a node's apex, -2 if its leaves have several.
     apex = np.full(len(tree.child), -2)
     apex[tree.node_of_leaf] = source

@@ -58,18 +58,18 @@ class PairPLR(FileBacked):
     ) -> Float[Array, "*batch"]:
         """Return the distance between points, ``(...)``: the length of the shortest path in free space.
 
-        It is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in obstacles.
-        ``pairs(x, y) == pairs(y, x)`` to the last bit. The precision is that of the points as for :func:`evaluate`,
-        though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without compiling: answers
-        then differ by rounding from those of compiled functions. It works under ``jax.jit``, ``jax.vmap`` and
-        ``jax.grad`` in both arguments. The gradient points away from the first turn of the path. It is zero where the
-        distance is 0 or ``inf``.
+        The distance is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in
+        obstacles. ``pairs(x, y) == pairs(y, x)`` to the last bit. Answers have the precision of the points, as for
+        :func:`evaluate`, though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without
+        compiling: these answers differ by rounding from the answers of compiled functions. The call works under
+        ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the first turn of
+        the path. It is zero where the distance is 0 or ``inf``.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
-            outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
-                both ends to the domain.
+            outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` moves each such point
+                to the nearest point of the domain, and adds the length of this move to the distance.
         """
         outside = as_outside(outside)
         if isinstance(y, PreparedGoals):
@@ -78,7 +78,7 @@ class PairPLR(FileBacked):
         return self._answered(partial(_distances, outside=outside), few, x, y)[0]
 
     def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
-        """Return distances to prepared goals: by NumPy for few pairs, else by compiled code."""
+        """Return distances from points to prepared goals, computed by NumPy for few pairs, else by compiled code."""
         # 1. Check the arguments.
         x = self._from_middle("x", x)
         batch = broadcast_shape("x and goals", x, goals.points)[:-1]
@@ -105,10 +105,10 @@ class PairPLR(FileBacked):
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
-        Large batches then take less time. The result takes 4 bytes per goal and corner. It works under ``jax.jit``
-        and ``jax.vmap``. Answers differ from unprepared ones by rounding, and have no gradient in goals, which have
-        32 bits. With ``outside="clamp"``, distances are still ``inf`` to a goal outside the domain. Pairs of other
-        maps must not use these goals. ``ValueError`` as for a call.
+        Large batches then take less time. The result takes 4 bytes per goal and corner. The method works under
+        ``jax.jit`` and ``jax.vmap``. Distances to prepared goals differ by rounding from distances to plain points,
+        and have no gradient in the goals, which have 32 bits. With ``outside="clamp"``, distances are still ``inf``
+        to a goal outside the domain. Use the result only with the same PairPLR. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
@@ -146,21 +146,29 @@ class PairPLR(FileBacked):
         return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
-        """Return a NumPy function of two points with these distances, bit for bit as in ``pairs/FORMAT.md``."""
+        """Return a function of two points that gives the same distances in NumPy, without JAX.
+
+        ``pairs/FORMAT.md`` defines its answers bit for bit. They differ from the answers of compiled functions by
+        rounding.
+        """
         return self._numpy
 
     def js_module(self) -> str:
         """Return a JavaScript module that answers the same queries, contains the file and imports nothing.
 
-        It exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the first
-        turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for bit.
+        The module exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the
+        first turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for
+        bit.
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
     def _answered(
         self, compiled: Callable[..., Any], few: Callable[..., Any], x: ArrayLike, y: ArrayLike
     ) -> tuple[Array, ...]:
-        """Return the answers ``(...)`` of ``compiled`` code or, for few pairs, of ``few``, which compiles nothing."""
+        """Return the answers ``(...)`` to pairs of points, for few pairs from ``few``, else from ``compiled``.
+
+        ``few`` is a method of :class:`NumpyPairs`, which compiles nothing, and ``compiled`` a jitted function.
+        """
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         batch = broadcast_shape("x and y", x, y)[:-1]
         if not is_on_one_host(x, y, self.file):
@@ -187,7 +195,10 @@ class PairPLR(FileBacked):
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
-        """Check points, and return them relative to the middle of the domain, in their own precision."""
+        """Check points ``(..., 2)``, and return them relative to the middle of the domain.
+
+        Points of 64-bit floats keep their precision. All others are returned as 32-bit floats.
+        """
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -261,14 +272,15 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
       distance of a point on the other side, or a smaller one. Bounds hold, but lower bounds treat walls this thin as
       free space.
     - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
-      to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
+      to rounding, may see through between wall and tip. So may a point within 4e-6 w of another wall that ends at
+      the tip.
     - Paths around the end of a thin wall may be 2e-6 w too long. If the workspace lets paths squeeze through places
-      where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short. Some are
-      not found: the distance is then that of a longer path, above the upper bound.
+      where obstacles touch, and a thin wall ends in such a place, paths through such places may be 2e-6 w too short.
+      Some of these paths are not found: the distance is then the length of a longer path, above the upper bound.
 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
-    through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,
-    or lead through the other wall beside the gap.
+    through. Only a gap below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be
+    closed, or paths through the gap may cross the wall on its other side.
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
@@ -282,7 +294,7 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 
 @partial(jax.jit, static_argnames="outside")
 def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
-    """Return distances between points relative to the middle of the domain, which broadcast."""
+    """Return distances between points ``x`` and ``y``, both relative to the middle of the domain."""
     if outside == "clamp":
         (x, shift_x), (y, shift_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
         return (_distances(tables, x, y, "inf")[0] + (shift_x + shift_y),)
@@ -301,7 +313,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
     # `length` is computed in 32 bits, of rounded points x' and y', and has no gradient. With the turns i and j held
     # fixed, a path's length changes as its legs do, with legs(x, y) = |x - i| + |y - j|, or |x - y| if straight:
     #   length(x, y) = length(x', y') + legs(x, y) - legs(x', y').
-    # The gradient is that of legs(x, y). As legs(x', y') are computed in 32 bits, too, their rounding cancels.
+    # The gradient is the gradient of legs(x, y). As legs(x', y') have 32 bits, too, their rounding cancels.
     length += jnp.where(jnp.isfinite(length), legs(x, y) - legs(*single).astype(x.dtype), 0)
     return (jnp.where(jnp.isfinite(answer), length, answer).reshape(shape),)
 
@@ -310,7 +322,10 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
-    """Return distances from points ``(..., 2)`` to the goals of the given numbers ``(..., 1)``, which broadcast."""
+    """Return distances from points ``x`` to prepared goals.
+
+    Points are relative to the middle of the domain. ``number`` has the index of a goal for each point, ``(..., 1)``.
+    """
     if outside == "clamp":
         x, shift = _clamped(tables, x.astype(_floats_of(x)))
         return (_distances_to(tables, goals, x, number, "inf")[0] + shift,)
@@ -330,7 +345,10 @@ def _distances_to(
 
 @jax.jit
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Return lower and upper bounds of the distances between points relative to the middle of the domain."""
+    """Return proven lower and upper bounds of the distances between points ``x`` and ``y``.
+
+    Points are relative to the middle of the domain.
+    """
     (x, y), shape, answer = _checked(tables, x, y)
     dtype = x.dtype
     x, y = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
@@ -352,7 +370,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
 def _clamped(
     tables: PairTables, x: Float[Array, "*batch 2"]
 ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
-    """Move finite points outside the domain to its nearest point; also return how far they move."""
+    """Move finite points outside the domain to the nearest point of the domain; also return how far they move."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     is_beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))  # by axis
     nearest = jnp.where(is_beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
@@ -363,9 +381,10 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, " n"]]:
-    """Broadcast points; return them as rows, the shape of the batch, and what is known of each row's answer.
+    """Broadcast arrays of points, and return their rows, the shape of the batch, and a first answer for each row.
 
-    Answers are ``inf`` outside the domain, NaN for NaN, and 0 if not yet known. Rows with a known answer become 0.
+    The answer is ``inf`` if a point is outside the domain, NaN if it has a NaN, and 0 if the answer is not yet known.
+    Points become 0 in rows whose answer is known.
     """
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]

@@ -1,4 +1,4 @@
-"""Distances of pairs of points in NumPy, as ``FORMAT.md`` defines them; other languages give equal bits."""
+"""Distances between pairs of points in NumPy, as ``FORMAT.md`` defines them bit for bit for all languages."""
 
 from base64 import b64encode
 from collections.abc import Callable
@@ -33,7 +33,10 @@ _Lengths = Float[np.ndarray, "n"]
 
 
 def point_rounding(half: Any, middle: Any) -> Any:
-    """Bound the error of a distance by the rounding of points, given the domain's half width and ``abs(middle)``."""
+    """Bound the error of a distance that is due to the rounding of points to 32 bits.
+
+    ``half`` is half the width of the domain, and ``middle`` the absolute value of its center, both along each axis.
+    """
     # Points in 64 bits, relative to the middle, are rounded to 32 bits: an error of at most an eps of `half`. From
     # points in 32 bits, `first`, the middle in 32 bits, is subtracted, then `rest`, its rounding error: each
     # difference is at most about `half`, so that both err by at most an eps of it, and `first + rest` is the middle
@@ -44,7 +47,8 @@ def point_rounding(half: Any, middle: Any) -> Any:
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
     """Return whether segments from ``p`` to ``q`` cross walls into an obstacle, and whether out of an obstacle.
 
-    A wall is given by its ends, ``(ax, ay, bx, by)``, with free space on its left.
+    A wall is given by its ends, ``(ax, ay, bx, by)``, with free space on its left. Points are ``(x, y)``. The shapes
+    of all coordinates must broadcast.
     """
     # With e = b - a and d = q - p, the segment crosses the wall if the sides of p and q, the signs of e x (p - a) and
     # e x (q - a), differ, and only one of a and b is left of the segment: d x (p - a) <= 0. Seen along the wall, free
@@ -65,7 +69,11 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 def are_crossed(
     p: _Points, q: _Points, walls: Float[np.ndarray, "4 walls"], both_ways: bool = False
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
+    """Return whether each segment from ``p[i]`` to ``q[i]`` crosses any wall.
+
+    With ``both_ways``, the segment must cross both a wall into an obstacle and a wall out of an obstacle. Columns of
+    ``walls`` are the ends ``(ax, ay, bx, by)``, with free space on the left.
+    """
     crossed = np.zeros(len(p), bool)
     for part in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
         inward, outward = crossings(p[part].T[:, :, None], q[part].T[:, :, None], walls)
@@ -75,9 +83,10 @@ def are_crossed(
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether walls cross the horizontal ray to the right of a point upward, and whether downward.
+    """Return whether each wall crosses a horizontal ray upward, and whether it crosses the ray downward.
 
-    The winding number around the point is the number of upward crossings less the number of downward crossings.
+    The ray starts at the point ``p`` and leads to the right. A wall leads from ``(ax, ay)`` to ``(bx, by)``. The
+    winding number of the walls around the point is the number of upward minus the number of downward crossings.
     """
     # A wall upward crosses the ray if its ends are below and above it, and the point is on its left.
     (px, py), (ax, ay, bx, by) = p, wall
@@ -87,7 +96,10 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Walls and corners of a file, moved so that rounding does no harm, relative to the middle of the domain."""
+    """Walls and corners of a PairPLR's file, moved a little so that rounding in queries does no harm.
+
+    Coordinates are relative to the middle of the domain.
+    """
 
     walls: Float[np.ndarray, "walls 4"]
     corners: Float[np.ndarray, "corners 2"]  # the last, at `inf`, is padding
@@ -96,11 +108,12 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, for_lower_bounds: bool = False) -> "Scene":
-        """Build the scene of a file: its walls and corners, moved so that rounding does no harm.
+        """Build the scene of a PairPLR's file: its walls and corners, moved a little because queries round.
 
         If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
         into their obstacles, so that rounding hides no corner. With ``for_lower_bounds``, walls of thin obstacles are
-        left out too, and paths may pass between obstacles that touch: points hidden then are certainly hidden.
+        left out too, and paths may pass between obstacles that touch. Then a point that the walls hide is certainly
+        hidden.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -133,8 +146,8 @@ class Scene:
     def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, " n"]:
         """Return whether walls hide ``q[i]`` from ``p[i]``.
 
-        If paths must be certainly free, one crossing of a wall hides it. Else the segment must cross a wall into an
-        obstacle and one out of it.
+        If ``is_certain``, one crossed wall hides the point. Otherwise the segment must cross both a wall into an
+        obstacle and a wall out of an obstacle.
         """
         return are_crossed(p, q, self.wall_ends, both_ways=not self.is_certain)
 
@@ -148,7 +161,7 @@ class Scene:
 
 
 class NumpyPairs:
-    """Distances between any two points, computed in NumPy, as returned by :meth:`PairPLR.numpy`."""
+    """A function of the distance between any two points, in NumPy. :meth:`PairPLR.numpy` returns it."""
 
     def __init__(self, stored: PairsFileData) -> None:
         # 1. The domain, relative to its middle.
@@ -177,8 +190,9 @@ class NumpyPairs:
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
         """Return distances between points ``(..., 2)`` whose shapes broadcast, ``(...)`` in float32.
 
-        They are ``inf`` outside the domain and without a path, NaN where a coordinate is NaN. ``f(x, y) == f(y, x)``
-        to the last bit. ``ValueError`` if points are not real numbers with two coordinates, or do not broadcast.
+        Distances are ``inf`` outside the domain and without a path, NaN where a coordinate is NaN. Swapped points
+        have the same distance to the last bit. ``ValueError`` if points are not real numbers with two coordinates, or
+        do not broadcast.
         """
         p, q, shape = self._from_middle(x, y)
         return _in_blocks(partial(self._lengths, self._scene), self._ends, np.inf, p, q).reshape(shape)[()]
@@ -190,7 +204,10 @@ class NumpyPairs:
         return lower[()], upper[()]
 
     def _from_middle(self, x: ArrayLike, y: ArrayLike) -> tuple[_Points, _Points, tuple[int, ...]]:
-        """Broadcast points; return them as rows in 32 bits, relative to the middle, and the shape of the batch."""
+        """Broadcast points; return ``x`` and ``y`` as rows, and the shape of the batch.
+
+        Rows are relative to the middle of the domain, in 32-bit floats.
+        """
         x, y = (as_queries(points, 2).astype(np.float64, copy=False) for points in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
@@ -215,7 +232,11 @@ class NumpyPairs:
     def distances_to(
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
-        """Return distances from points ``p`` to goals whose distances to all corners, ``to_corners``, are known."""
+        """Return the distance from each point ``p[i]`` to ``goal[i]``.
+
+        ``to_corners[i]`` has the distances from ``goal[i]`` to all corners. Points are relative to the middle of the
+        domain.
+        """
         if outside == "clamp":
             p, shift = self._clamped(p)
             return self.distances_to(p, goal, to_corners, "inf") + shift
@@ -237,7 +258,8 @@ class NumpyPairs:
     def to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
         """Return the length of the shortest path from each goal to each corner, ``inf`` without a path.
 
-        Rows of goals outside the domain have no meaning.
+        Rows are padded with ``inf`` to ``size`` columns. Rows of goals outside the domain have no meaning. Goals are
+        relative to the middle of the domain.
         """
         # 1. Find the legs from goals to the corners that their leaves list: `inf` if walls hide a corner.
         goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
@@ -252,7 +274,7 @@ class NumpyPairs:
         return lengths
 
     def _clamped(self, p: _Points) -> tuple[_Points, _Lengths]:
-        """Move finite points outside the domain to its nearest point; also return how far they move."""
+        """Move finite points outside the domain to the nearest point of the domain; also return how far they move."""
         is_beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)  # by axis
         nearest = np.where(is_beyond, np.copysign(self._half.astype(p.dtype), p), p)
         with np.errstate(invalid="ignore"):
@@ -266,7 +288,11 @@ class NumpyPairs:
         return np.stack([lower, STRETCHED * length + self._upper_error])
 
     def _lengths(self, scene: Scene, p: _Points, q: _Points) -> _Lengths:
-        """Return path lengths of pairs; ``scene`` has the walls that hide corners, and the corners of paths."""
+        """Return the length of the shortest path from each ``p[i]`` to ``q[i]``.
+
+        The path is straight if the walls of ``scene`` allow it, else it turns at corners of ``scene``. Points are
+        relative to the middle of the domain.
+        """
         # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
@@ -293,7 +319,7 @@ class NumpyPairs:
     def _legs(
         self, scene: Scene, p: _Points
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
-        """Return the corners that each point's leaf lists: their indices, positions and distances to the point."""
+        """Return the corners listed by the leaf that holds each point: indices, positions, distances to the point."""
         above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *along_axis) for along_axis in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
@@ -304,7 +330,11 @@ class NumpyPairs:
 def _in_blocks(
     answer: Callable[..., np.ndarray], ends: ArrayLike, outside: float, p: _Points, q: _Points, *others: Any
 ) -> Float[np.ndarray, "*answers n"]:
-    """Apply ``answer`` to pairs of points; pairs beyond the ``ends`` of the domain get ``outside``, NaN gets NaN."""
+    """Return the result of ``answer`` for pairs of points ``p[i]`` and ``q[i]``, block by block.
+
+    ``others`` are more columns that ``answer`` takes. Points are relative to the middle of the domain. A pair gets
+    ``outside`` if a coordinate is beyond ``ends``, half the width of the domain, and NaN if a coordinate is NaN.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         farthest = np.maximum(np.abs(p), np.abs(q))
         fixed_answers = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
@@ -321,11 +351,11 @@ def _in_blocks(
 def _shortest(
     scene: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
 ) -> tuple[_Lengths, _Points, _Points]:
-    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
+    """Return the length, the first turn and the last turn of the shortest path from each ``p[i]`` to ``q[i]``.
 
-    ``paths`` maps indices of ``n`` pairs to possible first turns ``(n, k, 2)``, last turns ``(n, m, 2)``, and lengths
-    ``(n, k, m)`` of paths through both. If a path is straight or missing, ``q`` counts as its first turn and ``p`` as
-    its last turn.
+    ``paths`` maps the indices of ``n`` pairs of points to possible first turns ``(n, k, 2)``, possible last turns
+    ``(n, m, 2)``, and the length of the path through each first and last turn ``(n, k, m)``. If a path is straight or
+    missing, its first turn is ``q[i]`` and its last turn ``p[i]``.
     """
     # 1. Straight paths.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()

@@ -1,14 +1,14 @@
 """Queries of a PairPLR in JAX: the search for shortest paths.
 
-If two points x and y do not see each other, the path between them turns first and last at corners i and j that the
-leaves of both points list::
+If two points x and y do not see each other, the path between them turns first at a corner i and last at a corner j.
+The leaf of x lists the corner i, and the leaf of y lists the corner j::
 
     x ------ i ~~~~~~~~~~ j ------ y      |x - i| + D(i, j) + |j - y|, with D the distance between corners
        leg                   leg
 
-The search tries the corners in the first point's list by ascending lower bound of the path length through each. It
-drops a corner from a list if a wall hides it from the list's point, and stops once no bound is below the length of a
-path found. Most pairs of points need one or two rounds.
+For each corner in the first point's list, the search knows a lower bound of the path length through the corner. It
+tries the corners by ascending bound. It drops a corner from a list if a wall hides the corner from the list's point,
+and stops once no bound is below the length of a path found. Most pairs of points need one or two rounds.
 """
 
 from collections.abc import Callable
@@ -50,7 +50,10 @@ class PreparedGoals:
 
 @jax.jit
 def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n size"]:
-    """Return the length of the shortest path from each point to each obstacle corner; ``inf`` without a path."""
+    """Return the length of the shortest path from each point to each obstacle corner; ``inf`` without a path.
+
+    Points are relative to the middle of the domain. Rows are padded with ``inf``.
+    """
     leaf: Any = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
@@ -66,7 +69,7 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 
 @pytree
 class _Pairs:
-    """Pairs of points, their leaves, and the corners to try in the order of their lower bounds."""
+    """Pairs of points, the leaves that hold the points, and lower bounds of path lengths through listed corners."""
 
     x: Points
     y: Points
@@ -84,7 +87,7 @@ class _Search:
 
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
-    via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
+    via_y: Rows  # place of the path's last turn in the list of the second point's leaf; the list's length if straight
     key: Rows  # smallest of `_Pairs.keys` that is not yet tried
     # A bit for each corner of the second point's list: whether it is known to be hidden from the point.
     hidden_y: UInt32[Array, "n words"]
@@ -105,8 +108,8 @@ def shortest_ways(
 ) -> Ways:
     """Find shortest paths between points ``x`` and ``y``, both relative to the middle of the domain.
 
-    Paths are equal to the last bit if ``x`` and ``y`` are swapped. For prepared goals ``y`` this need not
-    hold: ``to_corners`` has their distances to all corners, and ``goal`` is the row there of each ``y``.
+    If ``y`` are prepared goals, ``to_corners`` has the distances of goals to all corners, and ``goal`` the row of
+    each ``y`` in ``to_corners``. Otherwise paths are equal to the last bit if ``x`` and ``y`` are swapped.
     """
     if goal is not None:
         return part_by_part(partial(_ways, tables, to_corners), _AT_ONCE, x, y, goal)
@@ -117,7 +120,10 @@ def shortest_ways(
 
 
 def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal: Rows | None = None) -> Ways:
-    """Find the shortest path of each pair of points: straight, or through corners that the points' leaves list."""
+    """Find the shortest path from each ``x[i]`` to ``y[i]``: straight, or through corners that their leaves list.
+
+    For ``to_corners`` and ``goal`` see :func:`shortest_ways`.
+    """
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
     size = len(tables.distances)
@@ -158,7 +164,7 @@ def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal
 
 
 def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
-    """Repeat rounds of the search until no pair of points has a corner left that may shorten its path."""
+    """Repeat ``after_round`` until no pair of points has a corner left to try that may give a shorter path."""
     # The search ends: each round drops a corner from a list of each open pair of points.
     size = search.length.shape[0]
 
@@ -178,7 +184,10 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
 
 
 def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pairs: _Pairs) -> _Search:
-    """Try the next corner in the list of the first point's leaf, ``search.key``, as the first turn of each path."""
+    """Return the state of the search after trying one more first turn for each pair of points.
+
+    This turn is the corner that ``search.key`` encodes, from the list of the first point's leaf.
+    """
     # Below, `first` and `last` are places in lists, `corner` is an index of a corner, and `turn_x` is a point.
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     # 1. Decode the place of the first turn. The next key is the least one that is larger.
@@ -219,7 +228,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
 
 
 def _place_bits(longest: int) -> np.uint32:
-    # The lower bits of a key hold a place in a list, its other bits those of a float: as many bits as places need.
+    # The lower bits of a key hold a place in a list, as many bits as places need. The other bits are a float's.
     return np.uint32(padded_size(longest) - 1)
 
 
@@ -254,7 +263,10 @@ def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corne
 
 
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
-    """Return whether obstacles separate pairs of points: occluders decide most pairs, walls the others."""
+    """Return whether obstacles hide points ``x[i]`` and ``y[i]`` from each other.
+
+    Occluders decide most pairs, walls decide the others. Points are relative to the middle of the domain.
+    """
     # Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
     # another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another.
     # It counts only if `tables.is_certain`: then paths must be certainly free.
@@ -290,7 +302,10 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
 
 
 def is_inside(tables: PairTables, x: Points) -> Flags:
-    """Return whether points are in the region enclosed by ``tables.walls``, which wind once around such points."""
+    """Return whether points are in the free space that ``tables.walls`` enclose, where the winding number is 1.
+
+    Points are relative to the middle of the domain.
+    """
 
     def winds(turns, walls):
         for wall in walls:

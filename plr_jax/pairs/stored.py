@@ -17,14 +17,14 @@ from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
-MITRE = 4.0  # how far a point moves at most if walls move by 1; farther for tips, which are closed again
+MITRE = 4.0  # most that a point moves if walls move by 1; tips may move farther, and added walls then close the gap
 _COUNT_BITS = 32  # of the number of rings in a file
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Boundary of free space: closed rings of lattice points, joined by walls that have free space on their left.
+    """The boundary of free space: closed rings of lattice points, joined by walls with free space on their left.
 
     Wall ``i`` leads from point ``i`` to the next point of its ring, ``following[i]``. Walls without length are
     allowed.
@@ -40,12 +40,12 @@ class Outline:
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
-        """The points in workspace units."""
+        """The positions of all points, in workspace units."""
         return self.origin + self.step * self.points
 
     @cached_property
     def following(self) -> Int[np.ndarray, " points"]:
-        """Index of the next point of each point's ring."""
+        """Index of the point that follows each point in its ring."""
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
@@ -72,7 +72,11 @@ class Outline:
 
     @cached_property
     def following_past_contacts(self) -> Int[np.ndarray, " points"]:
-        """The next point around the same obstacle. Obstacles that touch where no path may pass count as two."""
+        """Index of the point that follows each point on the boundary of its obstacle.
+
+        It differs from ``following``, the order around free space, only at contacts (points where obstacles touch and
+        no path may pass).
+        """
         # A ring follows free space. At a contact P it goes on with the next wall clockwise, across free space; an
         # obstacle's outline goes on with the next wall counterclockwise, across the obstacle:
         #
@@ -97,7 +101,11 @@ class Outline:
     def _beside(
         self, following: Int[np.ndarray, " points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        """Return the walls that arrive at each point and leave it, as vectors; walls without length are skipped."""
+        """Return the wall that arrives at each point and the wall that leaves the point, as vectors.
+
+        ``following`` is the index of the next point. In place of a wall without length, the result has the next wall
+        beyond it.
+        """
         leaving = self.points[following] - self.points
         previous = np.argsort(following)
         arriving = leaving[previous]
@@ -121,7 +129,7 @@ class Outline:
 
     @cached_property
     def region(self) -> Any:
-        """Free space as a Shapely geometry, by the even-odd rule: unlike in a valid polygon, rings may touch.
+        """Free space as a Shapely geometry, by the even-odd rule, so that rings may touch and cross.
 
         ``ValueError`` if walls cross one another too often, as in a corrupt file.
         """
@@ -154,8 +162,9 @@ class Outline:
     def moved_walls(self, distance: float, *, moves_all: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
 
-        A negative distance moves all walls into free space, at sharp corners less. A positive distance moves walls of
-        thin obstacles only if ``moves_all``; if not, more walls follow, which close the gaps at contacts and tips.
+        A negative distance moves all walls into free space, by less beside sharp corners. A positive distance moves
+        walls of thin obstacles only if ``moves_all``. If it is positive and ``moves_all`` is false, the result ends
+        with added walls, which close the gaps that open at contacts and sharp tips.
         """
         # Into obstacles, a contact moves to one place in each obstacle, and a sharp tip moves far. So that no path
         # slips through, two walls of opposite directions join the new place to the old place of a contact, or to a
@@ -195,19 +204,25 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """Return the points' places after walls move by ``distance`` into obstacles (negative: into free space)."""
+        """Return the positions of all points after the walls have moved by ``distance`` into obstacles.
+
+        A negative distance moves walls into free space.
+        """
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, " points"]:
-        """Mask of points that block sight after walls move into obstacles: contacts, and points that stay."""
+        """Mask of the points that block sight after walls have moved by ``distance`` into obstacles.
+
+        They are the contacts, and the points that do not move.
+        """
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, moves_all: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return how points move with their walls: a point moves by minus ``distance`` times its vector.
+        """Return a vector for each point. If the point moves by ``-distance`` times this vector, its walls move, too.
 
-        Vectors lead into free space. Walls move by ``distance``, less at sharp corners. If it is positive and not
-        ``moves_all``, two kinds of points stay: those between two walls of thin obstacles, and both ends of a wall
-        that would change direction, as at the end of a thin obstacle.
+        The walls then move by ``distance`` into obstacles, less at sharp corners. If ``distance`` is positive, two
+        kinds of points have the vector 0 unless ``moves_all``: points between two walls of thin obstacles, and both
+        ends of a wall that would change its direction, as at the end of a thin obstacle.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
@@ -234,7 +249,7 @@ class Outline:
         return mitre
 
     def write(self, body: BitWriter) -> None:
-        """Encode all but the origin and the thin walls, which the file holds elsewhere."""
+        """Append the encoded outline to ``body``, except origin and thin walls, which the file has elsewhere."""
         body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
         body.write(np.array([self.may_squeeze], np.int64), 1)
         sizes = np.diff(self.first)
@@ -250,7 +265,10 @@ def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
-    """Decode what :meth:`Outline.write` wrote; ``ValueError`` if it is invalid."""
+    """Decode an outline that :meth:`Outline.write` encoded; ``ValueError`` if the data are invalid.
+
+    ``origin`` is the position of the lattice point (0, 0).
+    """
     step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its lattice step must be positive and finite, got {step}")
@@ -273,7 +291,8 @@ def distances_by_rows(
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
     """Yield the matrix of shortest path lengths along straight edges between points, in blocks of rows.
 
-    A block comes after the index of its first row. Lengths are ``inf`` without a path.
+    Each item is ``(first, block)``: the index of the block's first row, and the block. Lengths are ``inf`` without a
+    path.
     """
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
@@ -285,7 +304,7 @@ def distances_by_rows(
 
 
 def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
-    """Return the matrix of distances between corners, in 32 bits, padded with ``inf``."""
+    """Return the matrix of path lengths between corners, padded with ``inf`` to ``size`` rows and columns."""
     table = np.full((size, size), np.inf, np.float32)
     for first, rows in distances_by_rows(stored.points, stored.edges):
         table[first : first + len(rows), : len(stored.points)] = rows
@@ -304,7 +323,7 @@ _LEAST_ENTRIES = 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
-    """The content of a file of pairs: the map, its corners, and the corners that each leaf lists."""
+    """The content of a PairPLR's file: the map, its corners, and the corners that each leaf lists."""
 
     domain: Box
     outline: Outline
@@ -358,7 +377,7 @@ class PairsFileData:
 
     @staticmethod
     def from_bytes(data: bytes) -> "PairsFileData":
-        """Decode a file of pairs; ``ValueError`` if it is invalid."""
+        """Decode the file of a PairPLR; ``ValueError`` if it is invalid."""
         container = Container.from_bytes(data)
         domain = container.domain
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
@@ -423,7 +442,10 @@ def _read_rounding(body: BitReader) -> float:
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
-    """Return the leaf and the corner of each list entry, sorted by leaf; ``ValueError`` for over ``most`` entries."""
+    """Decode the lists of corners; return the leaf and the corner of each list entry as indices, sorted by leaf.
+
+    ``count`` is the number of corners. ``ValueError`` if the lists have more than ``most`` entries.
+    """
     # Level by level, each half of a split node takes over its parent's list, less the corners that the file says it
     # drops. `nodes` are the nodes of a level. Entry k of the level has the node `nodes[row[k]]` and `corner[k]`.
     corner = np.flatnonzero(~body.read_set(count))

@@ -1,4 +1,7 @@
-"""Tables of a PairPLR's file that queries in JAX read. Coordinates are relative to the middle of the domain."""
+"""Tables that queries of a PairPLR in JAX read, built from its file.
+
+Coordinates are relative to the middle of the domain.
+"""
 
 from dataclasses import field, replace
 
@@ -28,7 +31,7 @@ _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 @pytree
 class Walls:
-    """Walls in groups of neighbors, each with a bounding box."""
+    """Walls in groups of neighbors; each group has a bounding box."""
 
     groups: Float[Array, "groups 32 4"]  # coordinates of both ends of neighboring walls
     boxes: Float[Array, "groups 4"]  # of a box around each group with a margin for rounding: middle, half widths
@@ -66,13 +69,16 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
-    """Return the size of tables of corners."""
+    """Return the number of rows of tables with a row for each corner; rows after ``num_corners`` are padding."""
     # One of few sizes, so that few functions are compiled, with room for a corner at `inf`.
     return size_in_eighths(num_corners + 1)
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the arrays of a file; sizes of some arrays depend only on ``num_bytes``, the size of the file."""
+    """Build the arrays that queries read.
+
+    ``num_bytes`` is the size of the file without its label. The sizes of some arrays depend on it alone.
+    """
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     width = float(stored.domain.width.max())
@@ -156,7 +162,9 @@ def _bounds_to_leaves(
 ) -> UInt32[np.ndarray, "rows size"]:
     """Return `PairTables.onward`: a lower bound of path lengths from each corner to the points of each leaf.
 
-    It is a linear function of the point, packed in 32 bits.
+    The bound is a linear function of the point, packed in 32 bits. ``distances`` are path lengths between corners,
+    ``corners`` their positions, and ``listed`` the indices of the corners that each leaf lists. The box of a leaf has
+    its center at ``middles`` and the half widths ``halves``. Lengths are packed in units of ``step``.
     """
     # Fix a corner a and a leaf, whose box has the middle m and the half widths h. The path from a over the listed
     # corner k to a point x has the length d_k + |x - k|, with the distance d_k between a and k. It is convex in x, so

@@ -1,9 +1,10 @@
 r"""Thin parts of obstacles: up to about 5e-6 domain widths, so that 32-bit floats hardly tell both sides apart.
 
 For tests of visibility, walls move ``RECEDING``, 4e-6 domain widths, back into their obstacles, so that rounding
-hides no corner (:meth:`Outline.moved_walls`). A wall stays if its obstacle is so thin that the moved wall would come
-near free space; corners move in front of it instead. For this, a wall must be thin as a whole or not at all, and a
-sharp tip of a thin obstacle must have a corner on either side::
+hides no corner (:meth:`Outline.moved_walls`). A wall is called thin if its obstacle is so thin that the moved wall
+would come near free space on the other side. A thin wall stays in place, and the corners at its ends move in front of
+the wall instead. For this, walls are cut so that each is thin as a whole or not at all. A sharp tip of a thin
+obstacle gets a corner on either side::
 
              free space
     ==a======================b==      a wall from a to b, with free space on its left
@@ -31,7 +32,7 @@ _Spans = list[tuple[float, float]]  # intervals of a wall, as distances from its
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, " thin"]:
-    """Return the indices of walls of thin obstacles: moved into the obstacle, these walls come near free space."""
+    """Return the indices of thin walls: moved into their obstacle, these walls come near free space."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, moves_all=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
@@ -39,10 +40,10 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def with_thin_parts(
     outline: Outline, vertex: Int[np.ndarray, " points"], free_space: Any, width: float
 ) -> tuple[Outline, Int[np.ndarray, " found_points"]]:
-    """Cut walls whose obstacle is thin only in part, and mark the walls of thin obstacles.
+    """Cut walls that are thin only in part, and mark the thin walls of the outline.
 
     ``vertex`` is the index of the boundary vertex at each point of the outline. Return the new outline, and the
-    vertex at each of its points, -1 at cuts. A sharp tip of a thin obstacle gets two points with the same vertex.
+    vertex at each of its points, -1 at cuts. A sharp tip between thin walls gets two points with the same vertex.
     """
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):
@@ -94,7 +95,10 @@ def with_thin_parts(
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _Spans]:
-    """Return, by index of a wall, the intervals to mark as thin, ascending and disjoint."""
+    """Return the thin parts of walls: for the index of a wall, intervals of the distance from the wall's start.
+
+    The intervals of a wall are ascending and disjoint. Walls without an entry are not thin.
+    """
     reach = RECEDING * width
     following = outline.following_past_contacts
     start = outline.positions
@@ -144,7 +148,10 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _S
 
 
 def _merged(spans: _Spans, length: float, reach: float) -> _Spans:
-    """Sort intervals of a wall, and close gaps of at most ``2 * reach`` between them and to the wall's ends."""
+    """Sort intervals of a wall of the given length, and close gaps of at most ``2 * reach``.
+
+    Gaps are those between intervals, and from the first and last interval to the ends of the wall.
+    """
     merged: _Spans = []
     end = 0.0  # of the last interval, at first the start of the wall
     for a, b in sorted(spans):

@@ -38,7 +38,10 @@ def zero() -> SumOverRobots:
 
 
 def straight_line(problem: Problem) -> SumOverRobots:
-    """Return a lower bound that ignores obstacles: the cost of straight motions and turns to a problem's goals."""
+    """Return the heuristic that ignores obstacles: the cost of straight motions and turns to the problem's goals.
+
+    It is a lower bound.
+    """
     num_robots, dof = problem.goals.shape
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
@@ -51,19 +54,20 @@ def straight_line(problem: Problem) -> SumOverRobots:
 
 
 def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
-    """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
+    """Return the heuristic that adds up the robots' distances to their goals (Section V-B of the paper).
 
     Functions of one type that offers ``stack``, as PLRs do, are evaluated by one call. Others are called one by one,
     in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times. Inside a jitted
-    function, the heuristic of functions that can be traced, such as PLRs, takes and returns arrays of JAX.
+    function, a heuristic of traceable functions, such as PLRs, takes and returns arrays of JAX.
 
     Args:
         distance_fns: One distance function per robot, which returns NumPy or JAX arrays. If it has an attribute
             ``dim``, as oracles and PLRs do, it receives the first ``dim`` coordinates of a configuration, else all.
 
     Returns:
-        A heuristic for teams of this size. It is a lower bound if every function says so, as oracles and
-        ``plr.lower`` do; each must then be the distance among its robot's own obstacles.
+        A heuristic for teams of this size. It counts as a lower bound if every function has a true attribute
+        ``is_lower_bound``, as oracles and ``plr.lower`` do. Each function must then be computed among the obstacles
+        of its own robot (for a disc, grown by its radius).
 
     Raises:
         ValueError: If ``distance_fns`` is empty or holds anything but functions. When the heuristic is called: if the
@@ -117,7 +121,10 @@ def require_heuristic(heuristic: object) -> None:
 
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    """Check a heuristic's values, and return them with negative values as 0 and masked values as ``inf``."""
+    """Check a heuristic's values, and return them with 0 for negative values and ``inf`` for masked values.
+
+    ``ValueError`` if ``values`` do not have the expected ``shape``, or have a NaN.
+    """
     numbers = as_numbers("The result of a heuristic", filled_with_inf(values), "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
@@ -127,7 +134,11 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
 
 
 def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-    """Return the distance of each robot in each joint configuration; functions get batches of few sizes."""
+    """Return the distance of each robot to its goal in each joint configuration ``(n, robots, dof)``.
+
+    ``distance_fns`` has one function per robot. The functions are called with batches of few sizes, because a jitted
+    function compiles once for each size.
+    """
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]
@@ -148,9 +159,10 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
 
 
 def _joint_configurations(q: Any, num_robots: int | None = None, dof: int | None = None, traced: bool = False) -> Any:
-    """Check and convert joint configurations, of any number of robots or coordinates where the argument is None.
+    """Check joint configurations ``(n, robots, dof)``, and return them as 64-bit floats.
 
-    If ``traced``, they may be an array that JAX traces.
+    ``num_robots=None`` allows any number of robots, ``dof=None`` 2 or 3 coordinates. If ``traced``, an array that JAX
+    traces is returned as it is.
     """
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
     q = q if traced and is_traced(q) else as_numbers("Joint configurations", q, f"numbers of {expected}")

@@ -51,7 +51,8 @@ class Stats:
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
-        num_bytes: Estimated memory of ``bl_plan``'s searches and largest lattices, even if the limit ruled them out.
+        num_bytes: Estimated largest memory of the searches and lattices of ``bl_plan``, in bytes. It includes
+            lattices that would have exceeded the memory limit, and so were not built.
     """
 
     num_nodes: int
@@ -104,7 +105,7 @@ class Solution:
 
     @property
     def factor(self) -> float:
-        """Proven upper bound of the path's cost over the cost of the best path; ``inf`` if nothing is proven."""
+        """Proven upper bound of the ratio of the path's cost to the least possible cost; ``inf`` if there is none."""
         if self.cost == 0:
             return 1.0
         return self.cost / self.lower_bound if self.lower_bound > 0 else math.inf
@@ -138,7 +139,8 @@ class Solution:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution, without its samples, to a JSON file that :meth:`load` describes; the write is atomic.
 
-        It raises ``ValueError`` for an inconsistent solution or over 64 MiB, and ``OSError`` if writing fails.
+        ``ValueError`` if the solution is inconsistent or the file would be larger than 64 MiB, ``OSError`` if writing
+        fails.
         """
         stats = self.stats
         entry = {
@@ -240,7 +242,7 @@ def _solution_from_json(entry: Any) -> Solution:
 
 
 def _stats_from_json(entry: Any) -> Stats:
-    """Make statistics from their entry in a decoded JSON file; ``ValueError`` if it is invalid."""
+    """Make :class:`Stats` from the entry "stats" of a decoded JSON file; ``ValueError`` if the entry is invalid."""
     keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
@@ -320,7 +322,10 @@ def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
 
 @dataclass
 class SearchBudget:
-    """Limits of a planner, and counters of its effort; ``deadline`` is a time of ``time.perf_counter``."""
+    """Limits of a planner, and counters of its effort.
+
+    ``deadline`` is a time of ``time.perf_counter``. Memory is in bytes.
+    """
 
     deadline: float
     max_expansions: float | int
@@ -332,20 +337,20 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """Return the status of the limit that rules out one more expansion, or None."""
+        """Return the status that names a limit if one more expansion would exceed this limit, else None."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT  # after the deadline, the status is TIME_LIMIT
         return self.spent()
 
     def spent(self) -> Status | None:
-        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, or None; expansions do not count."""
+        """Return TIME_LIMIT or MEMORY_LIMIT if the time or memory limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
 
 
 class MemoryUse:
-    """A counter of one data structure's bytes, which also count in ``budget.memory`` until :meth:`release`."""
+    """The number of bytes of one data structure. The bytes also count in ``budget.memory`` until :meth:`release`."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0

@@ -1,7 +1,7 @@
 """Best-first search over joint configurations (Barraquand and Latombe), with beam search for the children.
 
 The *children* of a node are its next joint configurations: each robot makes one motion of its lattice, or stays. A
-node's *successors* are the best children, which beam search finds; they join the tree one after the other.
+node's *successors* are the best of its children, found by beam search. Successors join the search tree one by one.
 """
 
 import heapq
@@ -40,11 +40,11 @@ Table: TypeAlias = Float[np.ndarray, " _"]  # the estimate at each node of a rob
 
 
 class Beam(NamedTuple):
-    """The best children of each of ``n`` joint configurations, by ascending score."""
+    """The ``m`` best children (next joint configurations) of each of ``n`` joint states, by ascending score."""
 
     step_score: Float[np.ndarray, "n m"]  # sum of the robots' terms for this step; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
-    num_scored: int  # children scored, including those in which only the first robots have moved
+    num_scored: int  # children scored, including children in which only the first robots have moved
     num_valid: int  # collision-free children in which every robot has moved, over all nodes
     is_complete: Bool[np.ndarray, " n"]  # whether surely no collision-free child is missing
 
@@ -52,9 +52,10 @@ class Beam(NamedTuple):
 def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int) -> Beam:
     """Find the best next joint configurations (children) of joint states by beam search, one robot at a time.
 
-    Only the ``width`` best joint motions of the first robots are kept before the next robot's motions are added.
-    ``terms[robot]`` is the score of each primitive (motion to a neighboring cell, or a stay) at each node of the
-    robot's lattice, ``inf`` if it is blocked.
+    ``state`` has the lattice node of each robot in each joint state. A primitive is a motion to a neighboring cell,
+    or a stay. ``terms[robot]`` has the score of each primitive (columns) at each node of the robot's lattice (rows),
+    ``inf`` if the motion is blocked. Only the ``width`` best joint motions of the first robots are kept before the
+    next robot's primitives are added.
     """
     # score[row, m]: sum of the terms in the m-th joint motion from a state. primitive[row, m]: its primitives so far.
     score = np.zeros((len(state), 1), np.float32)
@@ -92,7 +93,10 @@ def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
-    """Return each robot's term of the heuristic at all nodes of its lattice."""
+    """Return, for each robot, the robot's term of the heuristic at all nodes of its lattice.
+
+    ``TimeoutError`` after the ``deadline``, a time of ``time.perf_counter``.
+    """
     size = max(len(lattice.q) for lattice in joint.lattices)
     # Shorten the chunks of large teams: a call has fewer than `16 * _CHUNK` configurations of single robots.
     chunk = max(1, _CHUNK // (1 + len(joint.lattices) // 16))
@@ -108,7 +112,7 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
-    """The best successors of one node, by ascending score, which join the tree one after the other."""
+    """The best successors of one node, by ascending score; they join the search tree one by one."""
 
     score: Float[np.ndarray, " m"]  # cost-to-come plus weighted heuristic
     cost: Float[np.ndarray, " m"]  # cost-to-come
@@ -120,9 +124,9 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search: the best node's best child joins the tree, then the node is queued for its next child.
+    """A best-first search that adds one child of a node at a time, then queues the node again for its next child.
 
-    Several nodes are expanded at once, while the search makes no progress. The life of a node::
+    Several nodes are expanded at once while the search makes no progress. The life of a node::
 
         frontier --pop--> node --- if it has no successors: beam search stores some (`_expand`)
           ^                |
@@ -160,7 +164,10 @@ class BestFirstSearch:
         budget.num_nodes += 1
 
     def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
-        """Search for about ``max_expansions`` expansions; return why the search ended, or None if it may go on."""
+        """Search until about ``max_expansions`` nodes are expanded.
+
+        Return why the search ended, or None if another call can continue it.
+        """
         last = self.num_expansions + max_expansions
         while self.goal_node is None and self.frontier and self.num_expansions < last:
             if limit := self.budget.exceeded():

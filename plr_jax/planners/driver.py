@@ -84,10 +84,10 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
         ``cost_factor`` (default: infinite) times the lower bound, also if a limit ended its improvement.
         EXHAUSTED: no search is left on the finest lattice (the given ``step``, or 1/2048 of the bounds), which proves
         nothing about finer lattices. MEMORY_LIMIT: the limit was reached, or best-first search found nothing after it
-        left out children to save memory. Otherwise another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always
-        comes with a path. The lower bound is the largest of the option's, the cost of straight motions, and the
-        heuristic at the starts if its ``is_lower_bound`` is true. Results are deterministic unless the time limit
-        ends a search.
+        left out children to save memory. Other statuses name another limit, or INTERRUPTED after Ctrl-C. Only SOLVED
+        always comes with a path. The lower bound is the largest of ``options.lower_bound``, the cost of straight
+        motions, and the heuristic at the starts if its ``is_lower_bound`` is true. Results are deterministic unless
+        the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
@@ -99,8 +99,8 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
     2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
        one of two searches succeeds. LaCAM moves the whole team one step at a time: each robot takes its best free
        motion and pushes others out of its way (PIBT). Best-first search finds coordinated maneuvers, such as a swap.
-    3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
-       and deviations within narrow corridors, shorten the path.
+    3. Robots are replanned on the lattices, one by one, while all other robots keep their paths. Then straight
+       shortcuts, and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor`` that is not met yet, groups of robots are replanned together, and searches continue with
        finer lattices and smaller weights.
 
@@ -150,7 +150,10 @@ class Run:
         self.extent = float(problem.workspace.bounds.width.max())
 
     def record(self, path: JointPath, found_by: str, motions_factor: float) -> None:
-        """Keep a path if it is the cheapest so far; ``motions_factor`` is its cost over the robots' least costs."""
+        """Keep a path if it is the cheapest so far.
+
+        ``found_by`` names the search that found the path, and ``motions_factor`` is as in :class:`Solution`.
+        """
         seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
@@ -162,7 +165,10 @@ class Run:
         self._mark = now
 
     def try_sequential_path(self) -> Status | None:
-        """Move robots one after the other; return SOLVED if this path's cost needs no improvement."""
+        """Record a path on which robots move one after the other, if one is found, and compute the lower bound.
+
+        Return SOLVED if the path needs no improvement, else None.
+        """
         # 1. Record the path, if there is one.
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             if (path := sequential_path(self.problem)) is not None:
@@ -182,7 +188,10 @@ class Run:
         return Status.SOLVED if self.cost <= accepted_cost else None
 
     def shorten_sequential_path(self, factor: float = math.inf) -> bool:
-        """Shorten the sequential path, once, unless a cheaper path is known; return whether it is now accepted."""
+        """Shorten the sequential path, on which robots move one after the other, if it is the best path so far.
+
+        The path is shortened only once. Return whether it is the best path and its cost is accepted.
+        """
         if self.path is not None and self.found_by == _SEQUENTIAL and not self.is_sequential_short:
             self.is_sequential_short = True
             width = makespan(self.problem, self.path) / _SEQUENTIAL_ROWS
@@ -192,8 +201,8 @@ class Run:
     def search_until_limit(self) -> Status:
         """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
 
-        From one search to the next the lattice gets finer and the weight falls. If the step is given, LaCAM searches
-        once, and then only the weight falls.
+        From one search to the next the lattice gets finer, and the weight of the heuristic falls. If the user gave a
+        step, LaCAM searches only once, and then only the weight falls.
         """
         searchers, weight = self.options.searchers, self.options.heuristic_weight
         step = self.options.step or first_step(self.problem, self._fits)
@@ -217,7 +226,11 @@ class Run:
                 return Status.EXHAUSTED
 
     def _search_lattices(self, step: float, weight: float, searchers: Sequence[str]) -> tuple[Status, float]:
-        """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
+        """Search lattices of cell size ``step`` and finer until a path is found, a limit is reached or none is left.
+
+        Return the status, and the cell size to continue with. ``weight`` is that of the heuristic on the first
+        lattice; it grows with each finer lattice.
+        """
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []  # from the coarsest lattice to the finest
         is_complete = True  # whether all searches that ended had tried everything
@@ -275,7 +288,10 @@ class Run:
                 searches.release()
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
-        """Build lattices of cell size ``step``, finer if ``may_halve``; None if a goal is cut off or time is up."""
+        """Build lattices of cell size ``step``; None if a goal is cut off on them or time is up.
+
+        If ``may_halve``, the cell size is halved as long as robots make long detours and finer lattices help.
+        """
         straight = motion_costs(self.problem, self.problem.starts, self.problem.goals)
         try:
             joint = build_lattices(self.problem, step, self.test)
@@ -316,9 +332,11 @@ class Run:
             self._shorten(path, found_by, factor, searches.joint.step / 2)
 
     def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
-        """Shorten a path by shortcuts, in corridors of at most ``width``, and by shortcuts with twice as many rows.
+        """Shorten a path in three phases, and record the path after each phase.
 
-        End as soon as the cost is accepted.
+        The phases are straight shortcuts, deviations in corridors of at most ``width``, and shortcuts on the path
+        with twice as many rows. End as soon as the cost is accepted. ``found_by`` and ``factor`` are recorded with
+        the path.
         """
         in_corridors = partial(shorten_in_corridors, width=width)
         for phase, method in enumerate((shorten, in_corridors, shorten)):
@@ -335,7 +353,11 @@ class Run:
             self.record(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State, in_groups: bool) -> State:
-        """Replan robots one by one, then ``in_groups`` until a path is accepted or little is gained."""
+        """Replan robots one by one and, if ``in_groups``, in groups until the cost is accepted or little is gained.
+
+        ``state`` has the lattice node of each robot at each step of the path, ``(steps, robots)``. Return this array
+        for the new path.
+        """
         joint, budget = searches.joint, self.budget
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
         if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
@@ -361,7 +383,10 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _recorded(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Record and return the path through lattice nodes ``state``, and its cost over the robots' least costs."""
+        """Record and return the path through lattice nodes ``state``, and an upper bound of its cost ratio.
+
+        The ratio is the cost of the path over the sum of the least costs of single robots on their lattices.
+        """
         path = searches.joint.configurations(state)
         least = float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
@@ -423,7 +448,10 @@ class Searches:
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
-        """Run each search for a while, longer at every call; return why one ended, or None if both may go on."""
+        """Run each search for a while, longer at every call.
+
+        Return why a search ended, or None if all searches can go on. ``bar`` shows the progress.
+        """
         status = None
         num_robots = len(self.joint.lattices)
         finds_all = "lacam" in self.running  # LaCAM leaves out nothing
@@ -452,7 +480,7 @@ class Searches:
 
     @property
     def winner(self) -> tuple[str, State]:
-        """Name of the search that reached the goals, and its path: each robot's lattice node, ``(steps, robots)``."""
+        """Name of the search that reached the goals, and its path: the robots' lattice nodes, ``(steps, robots)``."""
         return next((name, each.solution_states) for name, each in self.running.items() if each.goal_node is not None)
 
     @property
@@ -471,8 +499,9 @@ def first_step(
 ) -> float:
     """Choose the cell size of the first lattices: about the size of the smallest robot, or larger.
 
-    Cells are larger for a crowd, and enlarged until ``fits(step)`` holds and few enough motions must be tested. With
-    ``may_be_packed``, robots that fill most of the free area get cells as wide as the widest robot.
+    Cells are larger for a crowd. With ``may_be_packed``, robots that fill most of the free area get cells as wide as
+    the widest robot. Cells are enlarged until few enough motions must be tested and ``fits(step)`` is true, which
+    says whether lattices of cell size ``step`` fit into the memory limit.
     """
     # 1. Cells about as large as the smallest robot give it room to pass. Points have size 0.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area

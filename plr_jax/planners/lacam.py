@@ -1,9 +1,10 @@
-"""LaCAM: a lazy search over joint configurations, which adds constraints to the team steps that PIBT finds.
+"""LaCAM: a depth-first search over joint configurations, in which PIBT finds each step of the whole team.
 
-PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
-priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen ones.
-Robots that can then no longer stay choose next; if one of them finds no motion, the primitive is given up.
-References: Okumura et al., Artificial Intelligence 310, 2022 (PIBT); Okumura, AAAI 2023 (LaCAM).
+PIBT (priority inheritance with backtracking) lets robots choose in the order of their priorities. Each robot takes
+its best primitive (motion to a neighboring cell, or a stay) that hits no motion chosen so far. Robots that can then
+no longer stay choose next. If one of them finds no motion, the first robot gives up this primitive and tries another
+one. When LaCAM returns to a joint configuration, it prescribes the motions of some robots, so that PIBT finds another
+step. References: Okumura et al., Artificial Intelligence 310, 2022 (PIBT); Okumura, AAAI 2023 (LaCAM).
 """
 
 from collections import deque
@@ -42,11 +43,13 @@ class Moves(NamedTuple):
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
-    neighbors: Neighbors  # other robot, and by primitive, its primitives that collide
+    # Of each robot: the other robots that it may hit. An entry is the other robot and, for each primitive of this
+    # robot, the set of the other's primitives that collide with it; no set if none collides.
+    neighbors: Neighbors
 
 
 class TeamMoves:
-    """A function that finds the team's :class:`Moves` from a joint configuration, or raises ``TimeoutError``."""
+    """A function from a joint configuration to the :class:`Moves` of the team; ``TimeoutError`` if time is up."""
 
     def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, " _"]]):
         self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
@@ -58,7 +61,10 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
-        """Return all robots' motions from a joint configuration, and the pairs of motions that collide."""
+        """Return all robots' motions from a joint configuration, and the pairs of motions that collide.
+
+        ``state`` has the lattice node of each robot.
+        """
         # 1. Find each robot's motions. `places`, `ends` and `free` have an array per kind: configurations
         #    (robots, dof), end configurations (robots, primitives, dof), and which primitives hit no obstacle.
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
@@ -105,9 +111,9 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        # The key of `known_bits` is the number of cells, along each axis, from one robot to the other. The value has,
-        # for each primitive of the first, the primitives of the other that collide with it. The opposite key has, for
-        # each primitive of the other, those of the first.
+        # The key of `known_bits` is the number of cells, along each axis, from a first robot to a second one. The
+        # value has, for each primitive of the first robot, the primitives of the second robot that collide with it.
+        # The opposite key has, for each primitive of the second robot, the colliding primitives of the first robot.
         known_bits, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, offsets.tolist())) for offsets in (cells, -cells))
         # 1. Test the motions for new keys, from the origin and from the center of the other robot's cell.
@@ -128,9 +134,10 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield pairs of robots that may meet in one step, grouped by kinds.
+        """Yield pairs of robots that may meet in one step, grouped by kinds (robots of equal shape).
 
-        Each item has two kinds ``a <= b``, and for ``m`` pairs the robots of kind ``a`` and those of kind ``b``.
+        Each item is ``(a, b, first, second)``: the indices ``a <= b`` of two kinds, and the indices of ``m`` pairs of
+        robots. Robot ``first[k]`` is of kind ``a``, robot ``second[k]`` of kind ``b``.
         """
         x, y = position.T
         dx, dy = x[:, None] - x, y[:, None] - y
@@ -149,12 +156,12 @@ class TeamMoves:
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
-    """Return sets as integers: bit ``q`` of entry ``[m][p]`` is the flag ``[m, p, q]``."""
+    """Return flags packed into integers: bit ``q`` of entry ``[m][p]`` is ``flags[m, p, q]``."""
     return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
 
 
 class PIBT:
-    """A search for one collision-free step of the team: the motions chosen so far, and those still allowed."""
+    """A search for one collision-free step of the team: the motions chosen so far, and the motions still allowed."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -162,13 +169,13 @@ class PIBT:
         self.allowed: list[Bits] = [-1] * len(moves.ranked)  # -1 has all bits set
         self.num_left = _MOST_CHOICES * len(moves.ranked)
         self.num_failures = [0] * len(moves.ranked)
-        self._robots: list[int] = []  # those that have chosen, in order
+        self._robots: list[int] = []  # robots that have chosen, in order
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return each robot's primitive, or None if none was found; robots choose in the given order.
+        """Return the primitive of each robot in a collision-free step of the team, or None if no step was found.
 
-        A constraint is a robot and its prescribed primitive.
+        Each constraint is a robot and the primitive prescribed for it. The other robots choose in the given order.
         """
         in_the_way = []
         for robot, primitive in constraints:
@@ -183,7 +190,10 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose a robot's best motion for which all robots in its way find a motion; return whether it exists."""
+        """Choose the best motion of a robot for which all robots in its way find motions, too.
+
+        Return whether there is such a motion.
+        """
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -213,7 +223,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
-        """Let those of ``robots`` that have not chosen a motion choose one; return whether all could."""
+        """Let each of ``robots`` that has no motion yet choose a motion; return whether all found one."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -226,7 +236,7 @@ class PIBT:
 
 @dataclass(eq=False)
 class Node:
-    """A joint state that the search has reached, with the steps of the team that are left to try from it."""
+    """A joint state that the search has reached, with the steps of the team that are still to try from this state."""
 
     state: JointNode
     parent: "Node | None"
@@ -236,9 +246,10 @@ class Node:
 
 
 class LaCAM:
-    """A depth-first search over joint configurations: the newest node makes one more step of the whole team.
+    """A depth-first search over joint configurations: from the newest node, the whole team makes one more step.
 
-    Each time a node is expanded again, the motions of more of its robots are prescribed; PIBT finds all others.
+    PIBT finds the motions of this step. When a node is expanded again, the motions of some robots are prescribed, at
+    first of one robot, later of two robots, and so on. PIBT then finds the motions of all other robots.
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
@@ -255,7 +266,10 @@ class LaCAM:
         self._add(start, None)
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
-        """Search until ``max_idle`` steps in a row bring no progress; return why, or None if it may go on."""
+        """Search until the goals are reached, or ``max_idle`` steps in a row bring no progress.
+
+        Return why the search ended, or None if another call can continue it.
+        """
         self.num_idle = 0
         while self.goal_node is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():
@@ -298,7 +312,10 @@ class LaCAM:
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
-        """Put a joint state's node on the stack; a new node gets the order in which its robots choose motions."""
+        """Put the node of a joint state on the stack, and create the node if the state is new.
+
+        A new node gets the order in which its robots choose motions.
+        """
         key = state.astype(np.int32).tobytes()
         if (node := self.nodes.get(key)) is None:
             arrived: Bool[np.ndarray, " robots"] = state == self.goal

@@ -1,10 +1,12 @@
 """Lattices: the configurations that robots visit in a search, and the motions between them.
 
-A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
-configuration in a cell, its representative: the center if that is free, else the free sample with the largest
-clearance. A primitive is a motion between representatives of neighboring cells. A robot's start and goal are
-additional nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their
-cells. If both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
+A lattice divides a robot's configuration space into a grid of cells, periodic in the heading. A cell is represented
+by a free configuration (a node): the cell's center if it is free, else the free sample with the largest clearance. A
+primitive is a motion between the nodes of two neighboring cells.
+
+Each robot's start and goal are additional nodes, so that its paths begin and end exactly there. For this robot, they
+replace the nodes of their cells. If start and goal lie in one cell, motions into the cell lead to the goal, and an
+additional primitive connects start and goal.
 """
 
 import math
@@ -47,7 +49,10 @@ Primitives: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray,
 
 
 class Terminals(NamedTuple):
-    """The *terminals* of each robot, start (column 0) and goal (column 1), and the motions that end at them."""
+    """Start and goal (the *terminals*) of each robot of a :class:`Kind`, and the lattice motions that end there.
+
+    Index 0 of the second axis is the start, index 1 the goal.
+    """
 
     node: Int[np.ndarray, "robots 2"]  # node of each terminal
     cell: Int[np.ndarray, "robots 2"]  # node of each terminal's cell, which the terminal replaces for its robot
@@ -59,13 +64,17 @@ class Terminals(NamedTuple):
 
 @dataclass(eq=False)
 class Kind:
-    """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
+    """The lattice that robots of equal shape and rotation weight share, as a table of motions and as a graph.
 
-    Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
-    node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked one
-    leads to its own node at infinite cost. All robots share the table, so no primitive in it leads to a start or
-    goal. Edges, from nodes ``begin`` to ``end``, are the table's free motions, then each robot's motions into its
-    start and goal, then a dummy edge of infinite cost that pads lists of edges.
+    ``q`` has the configurations of the nodes: first a free configuration of each cell that has one, then all starts,
+    then all goals. A *primitive* is a motion to a neighboring cell. Entry ``[n, p]`` of the table (``child`` and
+    ``cost``) is the end node and the cost of primitive ``p`` from node ``n``. Primitive 0 stays in place. A blocked
+    primitive ends at ``n`` at infinite cost. A start or goal belongs to one robot, so primitives from other nodes do
+    not lead there.
+
+    Edge ``e`` of the graph leads from node ``begin[e]`` to node ``end[e]``. First come the free motions of the table,
+    then the motions into each robot's start and goal. The last edge is a dummy of infinite cost, which pads lists of
+    edges.
     """
 
     robot: Robot
@@ -78,7 +87,7 @@ class Kind:
     terminals: Terminals
 
     def __post_init__(self) -> None:
-        # 1. List the edges as columns (begin, end, cost): shared ones, those into terminals, and the dummy edge.
+        # 1. List the edges as columns (begin, end, cost): shared edges, edges into terminals, and the dummy edge.
         terminals = self.terminals
         moves = np.nonzero(np.isfinite(self.cost))  # node and primitive
         shared = moves[0], self.child[moves], self.cost[moves]
@@ -95,9 +104,10 @@ class Kind:
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Primitives:
-        """Return the end node and cost of each primitive from nodes of robot ``members[row]``.
+        """Return the end node and the cost of each primitive from each node of ``node``, for robot ``members[row]``.
 
-        By default, ``node`` holds one node for each robot of ``members``.
+        Unlike in the table, motions into the cell of the robot's start or goal end at the start or goal. By default,
+        ``node[i]`` is for robot ``members[i]``.
         """
         child, cost = self.child[node], self.cost[node]
         # Replace motions into the cells of the robot's terminals by motions into the terminals. Axes of `enters`:
@@ -112,7 +122,8 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        # Each column lists the shared edges into a node, then dummy edges. The only one into a terminal is to stay.
+        # Each column lists the shared edges into a node, then dummy edges. The only shared edge into a terminal is
+        # the edge that stays there.
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges in this order
         # In a terminal's column, `edges_into_nodes` needs room for the terminal edges below the edge that stays.
@@ -122,7 +133,10 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, in each node's column, the edges into it that robot ``members[row]`` may use, then dummy edges."""
+        """Return, in column ``n``, the indices of the edges into node ``n`` that robot ``members[row]`` may use.
+
+        The index of the dummy edge, of infinite cost, fills up the columns.
+        """
         into = self._shared_edges_into_nodes.copy()
         terminal_edges = self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges  # the robot's terminals replace these nodes
@@ -139,7 +153,7 @@ class Kind:
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, " steps"]) -> Int[np.ndarray, "motions"]:
-        """Return the cheapest edge from each node of a path to the next node; every such edge must exist."""
+        """Return the index of the cheapest edge from each node of a path to the next node; there must be an edge."""
         order, key = self._edges_and_sorted_keys
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
@@ -175,7 +189,10 @@ class Kind:
 
 
 class Lattice:
-    """The lattice of one robot: that of its kind, with the robot's own start and goal."""
+    """The lattice of robot ``kind.members[row]``: the lattice of its :class:`Kind`, with the robot's start and goal.
+
+    In ``child`` and ``cost``, motions into the cells of the start and goal end at the start and goal.
+    """
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
@@ -196,7 +213,7 @@ class Lattice:
 
 @dataclass(frozen=True, eq=False)
 class JointLattice:
-    """The lattices of all robots, grouped by kind (robots of equal shape and rotation weight), and a motion test."""
+    """The lattices of all robots, also grouped by kind (equal shape and rotation weight), with a collision test."""
 
     problem: Problem
     step: float
@@ -206,7 +223,10 @@ class JointLattice:
 
     @cached_property
     def costs_to_go(self) -> list[Float[np.ndarray, " _"]]:
-        """For each robot, the least cost from each node of its lattice to its goal, without the other robots."""
+        """For each robot, an array of the least costs from the nodes of its lattice to its goal.
+
+        Other robots are ignored.
+        """
         costs = {}
         for kind in self.kinds:
             num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
@@ -218,7 +238,7 @@ class JointLattice:
 
     @property
     def least_costs(self) -> Float[np.ndarray, " robots"]:
-        """For each robot, the least cost on its lattice from start to goal, without the other robots."""
+        """For each robot, the least cost on its lattice from its start to its goal; other robots are ignored."""
         return np.array([cost[lattice.start] for cost, lattice in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
@@ -235,7 +255,12 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows of ``state`` in which two robots are near, and which of their primitives collide there."""
+        """Return the rows of ``state`` in which robots ``i`` and ``j`` are near, and their primitives that collide.
+
+        A row of ``state`` has a node for each robot. Robots are near if one motion of each may bring their bodies
+        together. Entry ``[k, a, b]`` of the second result tells whether primitive ``a`` of robot ``i`` collides with
+        primitive ``b`` of robot ``j`` in the ``k``-th row of the first result.
+        """
         a, b = self.lattices[i], self.lattices[j]
         qa, qb = a.q[state[:, i]], b.q[state[:, j]]
         # 1. Robots are near if their bodies might meet in one motion from there.
@@ -249,7 +274,7 @@ class JointLattice:
 
 
 class CellGrid(NamedTuple):
-    """A grid of cells over a robot's configuration space: a free configuration per cell, and motions between them."""
+    """A grid of cells over a robot's configuration space: free configurations in cells, and motions between them."""
 
     lo: Float[np.ndarray, " dof"]
     shape: tuple[int, ...]
@@ -265,7 +290,11 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Add starts and goals of robots ``members`` of a team as nodes, and return the motions of these robots."""
+        """Add the starts and goals of robots as nodes, and return the lattice of these robots.
+
+        All these robots have the shape ``robot``. ``members`` are their indices in the team, in the order of the rows
+        of ``starts`` and ``goals``.
+        """
         # Arrays of terminals hold all starts, then all goals. Rolled by `num_robots`, they hold the other terminal of
         # the same robot.
         num_robots = len(starts)
@@ -328,7 +357,12 @@ class CellGrid(NamedTuple):
         return Kind(robot, members, q, child, cost, self.side, offsets * self.side, terminals)
 
     def neighbors(self, cells: Int[np.ndarray, " n"], offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
+        """Return the cell at each offset from each given cell, and whether a motion between these two may be free.
+
+        A motion may be free if the two cells differ and the cell at the offset has a free configuration. Where an
+        offset leads out of the grid, the flag is False. Cells are row-major indices; offsets count cells along each
+        axis.
+        """
         target = np.stack(np.unravel_index(cells, self.shape), axis=1)[:, None] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]
         exists = ((target >= 0) & (target < self.shape)).all(axis=2)
@@ -338,7 +372,10 @@ class CellGrid(NamedTuple):
     def costs(
         self, possible: Bool[np.ndarray, "n primitives"], begin: Ends, end: Ends, deadline: float = math.inf
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions, ``inf`` for motions that are not ``possible`` or hit an obstacle."""
+        """Return the cost of the straight motion from ``begin[i, p]`` to ``end[i, p]``, for each ``i`` and ``p``.
+
+        The cost is ``inf`` if the motion is not ``possible`` or hits an obstacle. The arguments are broadcast.
+        """
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -346,7 +383,7 @@ class CellGrid(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, " n"], deadline: float = math.inf) -> None:
-        """Test all motions that begin in the given cells, and write their end cells and costs into the grid."""
+        """Test all motions from the given cells (indices), and write their end cells and costs into the grid."""
         child, is_possible = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         is_possible &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
@@ -361,7 +398,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Return the indices of the robots of each kind, equal in shape and rotation weight: they share a table."""
+    """Group robots by shape and rotation weight; return the indices of the robots with each such pair."""
     kinds = defaultdict(list)
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)
@@ -369,7 +406,7 @@ def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build the lattices of all robots of a problem; robots of one kind share a table.
+    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share arrays.
 
     Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
     by more than ``step``, and is at most an eighth of a full turn.
@@ -384,7 +421,10 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the cells of robots of one shape, and the motions between them; small grids are cached."""
+    """Return the grid of cells, at most ``step`` wide, of one robot, with the motions between cells.
+
+    ``weight`` is the robot's rotation weight. Small grids are cached.
+    """
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
     build = _cached_cell_grid if is_small else _build_cell_grid
     return build(workspace, robot, weight, step, IgnoredByCache(deadline))

@@ -1,4 +1,4 @@
-"""Replanning of moving teams: after a change (``replan``), or as new goals arrive (``lifelong``)."""
+"""Replanning of moving teams: after goals or walls change (``replan``), or as new goals arrive (``lifelong``)."""
 
 import math
 import time
@@ -47,30 +47,32 @@ def replan(
     options: BLOptions = _DEFAULTS,
     standing: Sequence[int] = (),
 ) -> Solution:
-    """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
+    """Replan a moving team after a change; robots keep motions that still lead to their goals, if possible.
 
     Use it when goals or walls have changed, or robots have broken down::
 
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
-    Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
-    its motion does not end at its goal, or hits an obstacle or a standing robot. If it finds no path among the
-    others, robots in its way are replanned too. If that fails, or the path costs more than ``cost_factor`` allows,
-    :func:`bl_plan` plans the whole team.
+    Robots that keep their routes may get other times, so all must switch to the new path at once. A robot is
+    replanned if its motion does not end at its goal, or hits an obstacle or a standing robot. If such a robot finds
+    no path among the other robots, robots in its way are replanned too. :func:`bl_plan` plans the whole team if the
+    replanning fails or the new path costs more than ``options.cost_factor`` allows.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
         solution: The current motion of the same robots, from any planner.
         at: The time since the start of the solution's path, at least 0; after its makespan, robots are at its end.
         options: ``step``, ``time_limit``, ``lower_bound`` and ``cost_factor`` apply. If :func:`bl_plan` plans the
-            whole team, all options apply, and the time limit starts again; the cheaper path is returned.
+            whole team, all options apply, and the time limit starts again. The result is then the cheaper of the path
+            of :func:`bl_plan` and the replanned path.
         standing: Indices of robots that do not move; their goals must equal their starts. Other robots may make way
             and return, even if their goals are their starts. With standing robots, :func:`bl_plan` is not used.
 
     Returns:
-        The solution from now on, at unit speed. Its status is EXHAUSTED if no path within the cost factor was found
-        beside standing robots, TIME_LIMIT if the limit was reached, or INTERRUPTED; its path may then be None.
+        The solution from time ``at`` on, at unit speed. Its status is TIME_LIMIT if the limit was reached, or
+        INTERRUPTED after Ctrl-C. With standing robots, it is EXHAUSTED if no path within the cost factor was found.
+        In these cases, the path may be None.
 
     Raises:
         ValueError: If the solution has no finite path or other robots, the starts differ from
@@ -90,7 +92,7 @@ def replan(
             goal, start = problem.goals[i].tolist(), problem.starts[i].tolist()
             raise ValueError(f"Robot {i} is to stand still: its goal must be its start {start}, got {goal}.")
     fixed = {*robots}
-    # 2. Find the rest of the path at that time.
+    # 2. Find the part of the path that remains at that time.
     if not isinstance(solution, Solution) or solution.path is None or solution.times is None:
         raise ValueError(f"solution must be a Solution that has a path, got {shortened(solution)}.")
     if solution.path.shape[1:] != problem.starts.shape:
@@ -131,8 +133,10 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan robots, except ``fixed`` ones, until the path of each robot ends at its goal; return whether it does."""
-    # ``step`` is the cell size of the lattices.
+    """Replan robots of a timetable until no motion collides and all end at the robots' goals.
+
+    Return whether this worked. Robots ``fixed`` (indices) stand still. ``step`` is the cell size of the lattices.
+    """
     # 1. Find the robots whose motions do not end at their goals, or hit a wall. They block nobody until replanned.
     num_robots, test = len(problem.robots), timetable.test
     todo = []
@@ -154,8 +158,8 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         timetable.move(i, timetable.path[:1, i])
     for i in fixed:
         make_way(i, timetable.path[:, i])
-    # 3. Replan one robot after the other. A robot that finds no path among the others is planned among the fixed ones
-    #    alone, and robots in its way are replanned after it.
+    # 3. Replan one robot after the other. A robot that finds no path among all other robots is planned among the
+    #    fixed robots alone, and robots in its way are replanned after it.
     for _ in range(_ATTEMPTS * num_robots):
         if not todo:
             return True
@@ -178,12 +182,12 @@ class LifelongRun:
     """Result of :func:`lifelong`: the motions of a team, and the goals that it served.
 
     Args:
-        problem: The problem from the path's first row to its last, for ``validate(run.problem, run.path)``.
+        problem: The problem from the first row of ``path`` to its last, for ``validate(run.problem, run.path)``.
         path: Joint configurations ``(rows, robots, dof)``, as in a :class:`Solution`.
         times: Time at which the path reaches each row, ``(rows,)``, from 0 on.
-        robots: The robot that served each goal, in the order of service, ``(goals,)``.
+        robots: The index of the robot that served each goal, ``(goals,)``, in the order of service.
         goals: The served goals, ``(goals, dof)``.
-        rows: The row of the path at which each goal was reached, ``(goals,)``.
+        rows: The index of the row of ``path`` in which each goal was reached, ``(goals,)``.
         seconds: CPU seconds of each replanning, ``(replans,)``.
         num_from_nothing: How often the whole team was planned, including the first time.
         status: SOLVED if ``num_goals`` goals were served, INTERRUPTED, or the reason why the team has no path.
@@ -207,22 +211,24 @@ def lifelong(
     options: BLOptions = _DEFAULTS,
     plan: Callable[[Problem], Solution] | None = None,
 ) -> LifelongRun:
-    """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
+    """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the other robots go on.
 
-    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
-    keep their motions. A robot that finds no path waits near its goal, or where it is, and is replanned later. If
-    that fails, the whole team is planned again. A robot whose next goal is its place is served together with the next
-    robot that arrives. Ctrl-C, or a team that cannot be planned, ends the function early; it
-    then returns the run so far. Results are deterministic unless a time limit is reached.
+    :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the other
+    robots keep their motions. A robot that finds no path waits near its goal, or where it is, and is replanned later.
+    If robots still find no path, the whole team is planned again. A robot whose next goal is where it stands serves
+    this goal when the next robot arrives. Ctrl-C, or a team that cannot be planned, ends the function early; it then
+    returns the run so far. Results are deterministic unless a time limit is reached.
 
     Args:
         problem: The robots, their starts, and their first goals.
-        next_goal: A function of a robot's index and the goals of all others, ``(robots - 1, dof)``, that returns the
-            robot's next goal, ``(dof,)``. The goal must be free and reachable. If it overlaps another robot's goal,
-            the robot stays near its place until that robot has another goal, or the two swap places.
+        next_goal: A function of a robot's index and the goals of all other robots, ``(robots - 1, dof)``, that
+            returns the robot's next goal, ``(dof,)``. The goal must be free and reachable. If it overlaps another
+            robot's goal, the robot stays near its place until the other robot gets another goal, or the two robots
+            swap places.
         num_goals: Number of goals to serve, at least 1. Goals reached at the same time may add a few more.
         options: Options of :func:`bl_plan`; the time limit applies to each replanning. Ignored if ``plan`` is given.
-        plan: A planner, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives. None: as above.
+        plan: A planner, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives. None: robots are
+            planned one by one, as described above.
 
     Raises:
         ValueError: If ``num_goals`` is invalid, or a goal has a wrong shape, is not free, or is cut off by obstacles.
@@ -249,7 +255,7 @@ def lifelong(
 
 
 class _LifelongTeam:
-    """State of a lifelong run: the motions planned from now on, the goals, and a record of the motions made."""
+    """State of a lifelong run: the team's planned motions, its goals, and a record of the motions made so far."""
 
     def __init__(self, problem: Problem, options: BLOptions, plan: Callable[[Problem], Solution] | None):
         # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
@@ -270,7 +276,7 @@ class _LifelongTeam:
         self._due = math.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
-        """Plan the whole team without regard to its present plan."""
+        """Plan the whole team without regard to its present plan; return SOLVED, or why there is no path."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
         solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing += 1
@@ -281,7 +287,7 @@ class _LifelongTeam:
         return Status.SOLVED
 
     def advance(self) -> list[int]:
-        """Move the team until a robot arrives or replanning is due; return which robots arrive."""
+        """Move the team until a robot arrives or replanning is due; return the indices of the robots that arrive."""
         # 1. Find the next row in which a robot arrives, else the last row, or the present one if all robots are at
         #    their goals. A robot that is at its goal now is served with the next one that arrives, so that no other
         #    robot starves.
@@ -309,7 +315,10 @@ class _LifelongTeam:
         self._due, self._num_idle = math.inf, 0
 
     def replan(self) -> Status:
-        """Plan for the requested goals, as far as they are possible, from the team's present places on."""
+        """Replan the team's motions from its present configurations to its goals; return SOLVED, or why this failed.
+
+        Some requested goals are replaced: see :meth:`_possible_goals`.
+        """
         began = time.process_time()
         if ((goals := self._possible_goals()) != self.problem.goals).any():
             self.problem = self._current_problem(goals)
@@ -321,7 +330,7 @@ class _LifelongTeam:
         return status
 
     def result(self, status: Status) -> LifelongRun:
-        """Return the run so far, as a path from the first starts to the present places."""
+        """Return the run so far: a path from the first starts to the present configurations, and the goals served."""
         path, problem = np.concatenate(self._done), self.problem
         problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
         robots, rows = (np.array([entry[k] for entry in self.served], dtype=np.intp) for k in (0, 1))
@@ -334,7 +343,7 @@ class _LifelongTeam:
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """Return the requested goals, but a robot's previous goal if the requested one overlaps another robot's."""
+        """Return each robot's requested goal, or its previous goal if bodies at requested goals would overlap."""
         # Going back to a previous goal may cause another overlap, so all new goals are then tested again. This ends,
         # since previous goals never overlap, and a goal that went back stays.
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
@@ -353,7 +362,10 @@ class _LifelongTeam:
         return goals
 
     def _replan_waiting(self) -> Status:
-        """Replan robots whose motions soon end before their goals, robots in their way, and the most delayed one."""
+        """Replan robots whose motions soon end short of their goals, robots in their way, and the most delayed robot.
+
+        Plan the whole team if this takes too many attempts. Return SOLVED, or why there is no path.
+        """
         problem = self.problem
         timetable = Timetable(problem, self.path, _PATIENCE, time.perf_counter() + self.options.time_limit)
         # 1. Count how often the next arrival was put off, or none is planned. Robots that wait, or stand at their

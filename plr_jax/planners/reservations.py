@@ -1,4 +1,4 @@
-"""A table of reservations: lattice motions (edges) that a team's paths block at each step, and replanning around it.
+"""A table of the lattice motions (edges) that a team's paths block at each step, and replanning of robots with it.
 
 References: Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-agent path finding via large
 neighborhood search", 2021.
@@ -20,7 +20,7 @@ from plr_jax.planners.lattice import JointLattice, State
 _CHUNK = 256  # most edges at a time
 _PAIRS = 1 << 13  # pairs of edges at a time, about
 # Memory:
-_ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without those edges
+_ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without the colliding edges
 _EDGE_BYTES = 2  # bytes of an edge, per step
 _NODE_BYTES = 8  # bytes of a node while a robot is replanned, per step
 # Replanning:
@@ -31,7 +31,10 @@ Edges: TypeAlias = Int[np.ndarray, " _"]
 
 
 class ReservationTable:
-    """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step."""
+    """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step.
+
+    ``state[t, i]`` is the lattice node of robot ``i`` after ``t`` steps.
+    """
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
         self.joint, self.kinds, self.state, self.budget = joint, joint.kinds, state.copy(), budget
@@ -65,7 +68,7 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count robot ``i``'s path as blocking all motions that collide with it; ``change=-1`` undoes that."""
+        """Count robot ``i`` as blocking all edges that collide with its path; ``change=-1`` undoes this."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -74,7 +77,10 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each edge (motion) of robots of kind ``a``, the edges of kind ``b`` that collide with it."""
+        """Return, for each edge (an index) of kind ``a``, the edges of kind ``b`` that collide with it.
+
+        Kinds are indices in ``kinds``, groups of robots of equal shape and rotation weight.
+        """
         ours, others = self.kinds[a], self.kinds[b]
         tree, order, first = self._near[b]
         colliding = self._colliding_edges[a, b]  # answers are cached
@@ -102,7 +108,10 @@ class ReservationTable:
         return [colliding[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Move robot ``i``, now without reservations, to its cheapest free path up to ``max_cost``; False if none."""
+        """Move robot ``i`` to its cheapest free path that costs at most ``max_cost``; return whether there is one.
+
+        The caller must have undone the robot's reservations. The result is also False if time or memory runs out.
+        """
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()
@@ -113,7 +122,7 @@ class ReservationTable:
         least = self._costs_to_come[i] + self.joint.costs_to_go[i]
         least[[start, goal]] = 0.0  # always keep both
         nodes = np.flatnonzero(least <= max_cost * (1 + _ROUNDING))
-        index = np.full(len(least), len(nodes))  # of each node among `nodes`; `len(nodes)` for those left out
+        index = np.full(len(least), len(nodes))  # of each node among `nodes`; `len(nodes)` for nodes left out
         index[nodes] = np.arange(len(nodes))
         # 2. Dynamic programming: reached[step, n] is the least cost to be at nodes[n] after so many steps. The last
         #    column stands for all nodes left out, at infinite cost. Columns of `into`: the edges into each node,
@@ -146,7 +155,10 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan robots with detours, the largest first, in rounds until one saves little or a limit is reached."""
+    """Replan the robots whose paths cost more than if they were alone, the largest difference first, in rounds.
+
+    Stop after a round that saves little, or if time or memory runs out.
+    """
     while True:
         before = table.cost.sum()
         for i in np.argsort(table.least_costs - table.cost).tolist():
@@ -161,9 +173,10 @@ def replan_each(table: ReservationTable) -> None:
 
 
 def replan_together(table: ReservationTable, robots: list[int]) -> bool:
-    """Replan robots one after the other, unless that raises the cost; return whether the cost fell.
+    """Replan the robots with the indices ``robots`` one after the other; return whether their total cost fell.
 
-    If all robots find paths, these are kept even if the cost is equal.
+    If their total cost would rise, or a robot finds no path, all keep their old paths. New paths of equal cost are
+    kept.
     """
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
@@ -192,7 +205,8 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
     """Replan ``count`` groups: a random robot with a detour, and the four robots that come nearest to it.
 
-    Distances to other robots are multiplied by random factors from 1 to 2, so that groups vary.
+    A robot has a detour if its path costs more than if it were alone. Distances to other robots are multiplied by
+    random factors from 1 to 2, so that groups vary.
     """
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)

@@ -1,8 +1,8 @@
 """A first path for a few discs among few walls, without a lattice: the robots move one after the other.
 
 Each robot follows a shortest route, straight from corner to corner, in an order in which no robot blocks another. If
-there is none, as for two robots that swap places, one first steps aside into a corner. References: Buckley, "Fast
-motion planning for multiple moving robots", 1989; van den Berg et al., RSS 2009.
+there is no such order, as for two robots that swap places, a robot first steps aside to a corner. References:
+Buckley, "Fast motion planning for multiple moving robots", 1989; van den Berg et al., RSS 2009.
 """
 
 from functools import lru_cache
@@ -31,7 +31,7 @@ Path = Float[np.ndarray, "steps robots dof"]
 
 
 class CornerRoadmap:
-    """A disc's roadmap: positions of its center beside corners of walls, and free straight motions between them."""
+    """A roadmap for a disc: positions of its center beside corners of walls, and free straight motions."""
 
     def __init__(self, workspace: Workspace, radius: float):
         # 1. The center must avoid a box around each wall, aligned with the wall, and a circle around each convex
@@ -67,7 +67,10 @@ class CornerRoadmap:
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
     def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions between free positions hit no wall; touching is allowed."""
+        """Return whether each straight motion from ``begin[i]`` to ``end[i]`` hits no wall; touching is allowed.
+
+        Begin and end are free positions of the disc's center.
+        """
         (x, y), (dx, dy) = begin.T, (end - begin).T
         # 1. A motion hits a circle if it passes its center and comes too near: with t the vector from begin to
         #    center, 0 < t . d < |d|^2 and |t x d| < reach |d|. (The ends of the motion are free.)
@@ -87,7 +90,7 @@ class CornerRoadmap:
         return ~((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
-        """Return each robot's routes: costs of free straight motions between its start, its goal and corners."""
+        """Return, for each robot, the costs of motions between its start, the roadmap's positions, and its goal."""
         # Motions from starts to goals, then from each start to all corners, then from each goal to all corners.
         num, size = len(starts), len(self.q)
         ends = np.concatenate([starts, goals])
@@ -113,12 +116,16 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 def _positions_at(
     corner: Points, normal: Points, turn: Float[np.ndarray, " n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
-    """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp."""
+    """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp.
+
+    ``normal`` is the unit normal of the wall that begins at the corner. ``turn`` is the angle, in radians, from there
+    to the normal of the wall that ends at the corner. It is positive at convex corners of obstacles.
+    """
     # Let r be the radius. The center passes along lines at the distance r from both walls. These lines meet in the
     # direction halfway between the walls' normals, at r / cos(turn / 2) from the corner. At a sharp corner, this is
     # far away. Two positions then cut off the tip: in the directions at turn / 4 from each normal, r / cos(turn / 4)
-    # from the corner. They also lie on these lines, and the segment between them has the distance r from the corner,
-    # too.
+    # from the corner. Both positions also lie on the two lines, and the segment between them, too, has the distance r
+    # from the corner.
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for fraction, selected in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
@@ -130,7 +137,10 @@ def _positions_at(
 
 
 class Routes(NamedTuple):
-    """Costs of a disc's straight motions between its start, goal and a roadmap's corners; ``inf`` through walls."""
+    """Costs of a disc's motions between its start, the positions of a roadmap (``corners``), and its goal.
+
+    A cost is ``inf`` if a wall is in the way.
+    """
 
     roadmap: CornerRoadmap
     start: complex
@@ -151,7 +161,10 @@ class Routes(NamedTuple):
 
 
 def sequential_path(problem: Problem) -> Path | None:
-    """Return a path on which discs move one after the other, or None; tried for up to 8 discs and 48 walls."""
+    """Return a path on which the robots move one after the other; None if no such path was found.
+
+    The result is also None if a robot is no disc, or for more than 8 robots or 48 walls.
+    """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
@@ -169,7 +182,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return None
     at = [routes.start for routes in all_routes]  # present positions
     rows = [at.copy()]
-    waiting, aside = list(range(len(robots))), set()  # robots not at their goals, and those that have stepped aside
+    waiting, aside = list(range(len(robots))), set()  # robots not at their goals, and robots that have stepped aside
 
     def clears(i: int, route: Route, ignored: tuple[int, ...]) -> bool:
         # Whether robot i hits no robot on a route.
@@ -188,7 +201,7 @@ def sequential_path(problem: Problem) -> Path | None:
                 rows.append(at.copy())
 
     def make_way(i: int, j: int) -> bool:
-        """Let robot ``i`` step aside into a corner, and robot ``j`` pass to its goal; return whether it worked."""
+        """Let robot ``i`` step aside to a corner, and robot ``j`` move to its goal; return whether both can."""
         if i in aside or not is_ready(j, i, j):
             return False
         routes = all_routes[i]
@@ -219,7 +232,7 @@ def sequential_path(problem: Problem) -> Path | None:
 
 
 def _comes_within(route: Route, place: complex, reach: float) -> bool:
-    """Return whether a route comes nearer to a place than ``reach``; points are complex numbers."""
+    """Return whether a route comes nearer than ``reach`` to the point ``place``; points are complex numbers."""
     for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2
@@ -235,7 +248,10 @@ def _touch_distances(problem: Problem) -> list[list[float]]:
 
 
 def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "rows robots dof"]:
-    """Return the path with robots departing before others have arrived, if possible; routes and cost stay equal."""
+    """Return a path on which robots depart before others have arrived, where they do not collide.
+
+    ``path`` moves one robot at a time. Each robot's route and cost stay equal.
+    """
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)
     reach = np.array(_touch_distances(problem))[first_of, second_of]

@@ -1,9 +1,9 @@
-"""Reduction of a path's cost off the lattices, robot by robot, while the other robots keep their motions.
+"""Reduce a path's cost robot by robot, by motions off the lattice, while the other robots keep their motions.
 
 ``shorten`` replaces motions by straight shortcuts. ``shorten_in_corridors`` lets a robot deviate to one of a few
 configurations around each row of its path (its corridor); dynamic programming over the rows finds the cheapest
-collision-free sequence. Two robots that touch move together, as neither gains by making way alone. Neither function
-changes the number of rows or raises the cost.
+collision-free sequence. It also moves two robots together while they are near each other, as neither gains by making
+way alone. Neither function changes the number of rows or raises the cost.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,10 @@ _PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.fl
 
 
 def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
-    """Replace motions by straight shortcuts until a round saves little, or the deadline of ``test`` passes."""
+    """Replace motions by straight shortcuts until a round saves little, or the deadline of ``test`` passes.
+
+    A round tries each robot in turn.
+    """
     # A robot is tried again after it has gained, or after a robot that blocked one of its shortcuts has moved.
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     may_gain = np.ones(len(test.robots), dtype=bool)
@@ -73,9 +76,10 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, " robots"]]:
-    """Return the rows of robot ``i``'s cheapest route by motions and shortcuts, and which robots blocked a shortcut.
+    """Return the rows of the path that robot ``i``'s cheapest route visits, and which robots blocked a shortcut.
 
-    Each motion or shortcut leads from a row in ``begin`` to a row in ``end``.
+    A route consists of the robot's present motions (from a row to the next) and of straight shortcuts that hit
+    nothing. The motions and shortcuts to try lead from row ``begin[k]`` to row ``end[k]``.
     """
     # 1. Find shortcuts that save cost and hit no wall. No shortcut begins or ends in a row at a contact of walls, as
     #    there the path's own motions fix the side on which it passes; except at the ends of the path. A shortcut may
@@ -121,7 +125,11 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Shift configurations of one robot, or of two that touch, in steps of at most ``width``, to lower the cost."""
+    """Lower a path's cost by small shifts of configurations, of one robot or of two nearby robots at a time.
+
+    Shifts have the length ``width``, in workspace units, which is halved when a round saves little. The function ends
+    after a few halvings, or when the deadline of ``test`` passes.
+    """
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest = width / 2**_NARROWINGS
     diagonal = False  # rounds alternate between shifts along the axes and along the diagonals
@@ -144,11 +152,11 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 
 
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
-    """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch.
+    """Yield each robot with all rows of the path, and each pair of nearby robots with the rows where they are near.
 
-    After each group, the caller may move the group's robots in these rows of ``path``, in place. The pairs that
-    follow are those of the changed path: once robot i has moved, ``touch`` is computed again. (If only robot j has
-    moved, ``touch`` changes in column j alone, which is not read again.)
+    Robots are near if the gap between their circumscribed discs is less than a few times ``width``. After each group,
+    the caller may move the group's robots in the group's rows of ``path``, in place. Later pairs are found on the
+    changed path.
     """
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
@@ -160,7 +168,8 @@ def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Gro
             rows = np.flatnonzero(touch[:, j])
             before = path[:, i].copy()
             yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
-            if (path[:, i] != before).any():  # changed by the caller
+            # Changed by the caller. (If only robot j has moved, `touch` changes in column j alone, not read again.)
+            if (path[:, i] != before).any():
                 touch = _touching(problem, path, i, width)
 
 
@@ -174,9 +183,10 @@ def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.nda
 def _shortened_in_corridors(
     problem: Problem, trajectory: TeamTrajectory, group: Group, test: JointMotionTest, width: float, diagonal: bool
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return the cheapest collision-free configurations of a group, out of its robots' corridors.
+    """Return the cheapest collision-free path of each robot of ``group`` in the group's rows.
 
-    The first and the last row of the group stay.
+    In each row, a robot may take any configuration of its corridor (see :func:`_corridor`). The first and the last
+    row stay as they are. For two robots, the sum of both costs is minimized.
     """
     require_time(test.deadline, "all corridors were searched")
     robots, rows = group
@@ -224,9 +234,12 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
-    """Return the costs of two robots' joint motions between rows, by pairs of their configurations in each row.
+    """Return the cost of each joint motion of two robots from a row to the next, without collisions between the two.
 
-    They are ``inf`` for motions that cannot gain or in which the robots collide, except for the present motions.
+    Entry ``[k, p, q]`` leads from pair ``p`` of configurations in row ``k`` to pair ``q`` in row ``k + 1``. The pairs
+    of configurations of the two corridors are in row-major order. The cost is ``inf`` if the robots collide, or if no
+    cheaper joint path has this motion; but the present motions ``[k, 0, 0]`` keep their costs. ``around`` has circles
+    around the corridors, and ``costs`` the cost of each robot's motions alone.
     """
     # Entry [k, a, b, c, d]: the robots move from configurations a and b of row k to c and d of row k + 1. Then pairs
     # (a, b) and (c, d) are numbered in row-major order.
@@ -248,8 +261,12 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations to try in each row of path ``q``: its own, and some that are ``width`` away."""
-    # Positions are shifted along the axes or, if ``diagonal``, along the diagonals.
+    """Return the configurations to try in each row of robot ``i``'s path ``q``: first the present one, then others.
+
+    The other positions are shifted by ``width`` along the axes or, if ``diagonal``, along the diagonals. The other
+    headings are turned so far that the body's farthest point moves by ``width``. In the first and the last row, all
+    configurations are the present one.
+    """
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
     offsets[:, :2] = width * _PLUS_PATTERN @ axes
@@ -262,13 +279,14 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion between configurations of two rows, the least cost of a path with it.
+    """Return the least cost of a path through each motion; the result has the same indices as ``cost``.
 
     Entry ``[k, a, b]`` of ``cost`` is the cost from configuration ``a`` of row ``k`` to ``b`` of row ``k + 1``. Paths
-    begin and end at configuration 0 of the first and the last row.
+    begin at configuration 0 of the first row and end at configuration 0 of the last row.
     """
     # Dynamic programming in both directions at once. so_far[k, 0, a] is the least cost from the start to
-    # configuration a of row k. so_far[k, 1, a] is that from configuration a, k rows before the last one, to the end.
+    # configuration a of row k. so_far[k, 1, a] is the least cost from configuration a of the row k rows before the
+    # last one to the end.
     # So so_far[::-1, 1][k] is from row k + 1 to the end: with n motions, this is n - 1 - k rows before the last one.
     both_ways = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)

@@ -1,7 +1,8 @@
-"""Planning of one robot among the others through time, on a timetable whose rows all take the same time.
+"""Planning of one robot among other robots through time, on a timetable whose rows are equally far apart in time.
 
 A robot may depart at any row, along a lattice motion or straight, at unit speed. A motion takes as many rows as it
-needs at that speed, so robots do not move in step as in the other searches (Silver, "Cooperative pathfinding", 2005).
+needs at that speed. In the other searches, all robots make one lattice motion in each step. Reference: Silver,
+"Cooperative pathfinding", 2005.
 """
 
 import heapq
@@ -32,7 +33,10 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
-    """A team's configurations, one row per time step; robots at rest stop blocking others after ``patience`` rows."""
+    """A team's configurations, one row per time step; robots at rest stop blocking others after ``patience`` rows.
+
+    ``path`` has the configurations, ``ends`` the row in which each robot comes to rest.
+    """
 
     def __init__(
         self, problem: Problem, path: JointPath, patience: float | int = math.inf, deadline: float = math.inf
@@ -52,7 +56,7 @@ class Timetable:
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Replace robot ``i``'s motion by ``q``, of any number of rows; others must respect it from now on."""
+        """Replace robot ``i``'s motion by ``q``, of any number of rows; other robots must avoid it from now on."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
             self._last = len(q) - 1
@@ -66,7 +70,10 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, " m"]:
-        """Return whether robot ``i`` meets nobody on straight motions of ``count`` time steps from ``row`` on."""
+        """Return whether robot ``i`` meets no other robot on each straight motion from ``begin[k]`` to ``end[k]``.
+
+        The motion begins in row ``row[k]`` of the timetable and takes ``count[k]`` time steps.
+        """
         # Cut motions into pieces of one time step each, and test these.
         motion, step = ragged_indices(count)
         num_steps = count[motion, None]
@@ -77,14 +84,20 @@ class Timetable:
         return is_free
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the time steps at which robot ``i`` meets others, on motion ``q`` or at rest after it, and whom."""
+        """Return all collisions of robot ``i`` with other robots on motion ``q`` from row 0 on, and at rest after it.
+
+        The results are the time step and the other robot's index of each collision.
+        """
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " rows"]:
-        """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
+        """Return, for each row, the first row from there on at which robot ``i`` may come to rest at ``q``.
+
+        It may if no other robot meets it there for ``patience`` rows. The result is ``inf`` if there is no such row.
+        """
         # The result is inf if there is no such row. Robots at rest block `q` for `patience` rows after the last row.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
@@ -107,7 +120,10 @@ class Timetable:
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
-    """Divide motions into equal parts, each of which takes at most ``length`` at unit speed; all rows stay."""
+    """Divide each motion of a path into equal parts that take at most the time ``length`` at unit speed.
+
+    The rows of the path stay.
+    """
     count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
@@ -122,9 +138,10 @@ def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray,
 def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int) -> tuple[Motion | None, bool]:
     """Plan robot ``i``'s motion to its goal through a timetable by A*; return the motion, and whether it arrives.
 
-    The lattice has cells of size ``step``. At the motion's end, the robot must be free to rest for ``patience`` time
-    steps. If no path is found within ``max_states`` states, the motion ends at the reached place nearest to the goal
-    where the robot may rest. If there is no such place, the motion is None.
+    The lattice has cells of size ``step``. At the motion's end, the robot must be free to rest for
+    ``timetable.patience`` time steps. If no path is found after about ``max_states`` expanded states, the motion ends
+    at a reached configuration near the goal where the robot may rest, preferably far from walls. If there is no such
+    configuration, the motion is None.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
     length = step / ROWS_PER_STEP  # of a motion that takes one row
@@ -160,14 +177,14 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
         require_time(deadline, "a robot was planned")
         batch = [heapq.heappop(open_states)[2] for _ in range(min(len(open_states), _BATCH))]
         num_expanded += len(batch)
-        # Motions that may lead to an earlier arrival: `k` is the place of the parent in the batch.
+        # Find motions that may lead to an earlier arrival: `k` is the index of the parent in the batch.
         begin, since = np.array([nodes[state] for state in batch]), np.array([rows[state] for state in batch])
         end, until = child[begin], since[:, None] + duration[begin]
         arrival = soonest(end, until)
         k, primitive = np.nonzero(arrival < best)
         end, until, arrival = (column[k, primitive] for column in (end, until, arrival))
         until = until.astype(int)
-        # Those to states that are not visited yet, and on which the robot meets nobody.
+        # Keep the motions to states that are not visited yet, on which the robot meets nobody.
         keys = list(zip(end.tolist(), (until // _WAIT).tolist(), strict=True))
         new = np.array([n for n, key in enumerate(keys) if key not in visited], dtype=int)
         begin, since = begin[k[new]], since[k[new]]
@@ -205,9 +222,9 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
     """Return robot ``i``'s motion along waypoints ``q``, with straight motions that skip waypoints where possible.
 
-    The result has a configuration per time step (row of the timetable). The robot arrives at each waypoint that is
-    left at the latest in the waypoint's ``row``, and waits there if it arrives early and cannot go on. In a time step
-    it moves by ``length``, with turns weighted by ``weight``.
+    The result has a configuration per time step (row of the timetable). The robot reaches each waypoint ``q[k]`` that
+    is not skipped in row ``row[k]`` or earlier, and waits there if it cannot go on yet. In a time step it moves by
+    ``length``, with turns weighted by ``weight``.
     """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     parts = [q[:1]]
@@ -220,7 +237,8 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
         early = np.flatnonzero(now + count <= row[ahead])
         early = early[walls(begin[early], q[ahead[early]], deadline)]
         ahead, count, begin = ahead[early], count[early], begin[early]
-        # 2. Keep those on which the robot meets nobody, nor while it waits there until the waypoint's row.
+        # 2. Keep the motions on which the robot meets nobody, also while it waits at the end until the waypoint's
+        #    row.
         since = np.full(len(ahead), now)
         is_possible = timetable.are_free(i, begin, q[ahead], since, count)
         is_possible &= timetable.are_free(i, q[ahead], q[ahead], since + count, row[ahead] - now - count)

@@ -1,8 +1,8 @@
 """Pictures, animations and web pages of PLRs, errors, workspaces, problems and paths.
 
 Every ``plot_`` function draws on the given axes, or on a new figure, and returns the axes; :func:`save` writes the
-picture. :func:`slices` draws functions of three or more dimensions, :func:`animate` shows a path in motion, and
-:func:`page` makes an interactive web page. Figures are made without pyplot, so no global state changes.
+figure to a file. :func:`slices` draws functions of three or more dimensions. :func:`animate` shows robots that move
+along a path. :func:`page` makes an interactive web page. Figures are made without pyplot, so no global state changes.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Animations of paths: GIF files, and web pages that play a path."""
+"""Animate a path of robots, as a GIF file or as a web page that plays the path: :func:`animate`."""
 
 import io
 import json
@@ -44,7 +44,7 @@ _SMALLEST_NUMBERED = 10.0  # pixels across the smallest body whose number is dra
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """Return a web page that plays a path, once in ``seconds``."""
+    """Return the HTML of a web page that plays a path; one playback takes ``seconds``."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = _svg(problem, motion) + "\n" + asset("player.html").replace("{{play}}", PLAY).rstrip()
     script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
@@ -52,7 +52,10 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return the data of a path for ``player.js``, with positions rounded by at most 1/20 of a pixel."""
+    """Return the robots' motion as data for ``player.js``; rounding moves positions by at most 1/20 of a pixel.
+
+    ``seconds`` is the duration of one playback.
+    """
     # The longer side w has SIZE = 520 pixels. Rounding to d = 4 - floor(log10 w) decimals changes a position by at
     # most 10**-d / 2 <= w * 1e-4 / 2, which is 0.026 pixels.
     bounds = problem.workspace.bounds
@@ -72,7 +75,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for a script to move."""
+    """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for ``player.js`` to move."""
     bounds = problem.workspace.bounds
     scale = pixel_scale(bounds)
     width, height = scale * bounds.width
@@ -123,7 +126,7 @@ _TRACK, _GOAL, _TRAIL = 3.3, 3.6, 4.0  # z-orders
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A path in motion, made by :func:`animate`; notebooks show it."""
+    """An animation of a path, made by :func:`animate`. Notebooks play it, and :meth:`save` writes it to a file."""
 
     problem: Problem
     motion: Timeline
@@ -159,10 +162,10 @@ class Animation:
 def animate(
     problem: Problem, path: ArrayLike, *, seconds: float | int = 8.0, frames_per_second: float | int = 20.0
 ) -> Animation:
-    """Set a path ``(steps, robots, dof)`` of a problem in motion, as in :meth:`Solution.path_at`.
+    """Return an animation of a path ``(steps, robots, dof)`` of a problem, timed as in :meth:`Solution.path_at`.
 
     Steps in which nothing moves are skipped; one playback takes ``seconds``. A GIF has ``frames_per_second``, above 0
-    and at most 50, rounded so that frames last whole hundredths of a second; web pages play at the screen's rate.
+    and at most 50, rounded so that a frame lasts whole hundredths of a second. Web pages play at the screen's rate.
     ``ValueError`` is raised if a number is out of range, the path is invalid, or nothing moves.
     """
     as_finite("seconds", seconds, positive=True)
@@ -239,7 +242,7 @@ class _Actor:
             artist.set_animated(True)
 
     def play(self, so_far: Float[np.ndarray, "steps dof"]) -> None:
-        """Move the artists to the end of the path so far; the trail is the whole path so far."""
+        """Show the robot at the last configuration of ``so_far``, its path so far, which is drawn as the trail."""
         q = so_far[-1]
         self.trail.set_data(*so_far[:, :2].T)
         self.body.set_xy(placed(self.robot, self.outline, q))

@@ -1,4 +1,4 @@
-"""Figures, axes and color bars that the plots share."""
+"""Make figures, axes and color bars in the style that all plots share, and save pictures."""
 
 import math
 import os
@@ -23,12 +23,12 @@ DISTANCE, WORKSPACE_UNITS = "distance to the goal", "workspace units"
 FONT_SIZE = 9  # points
 _PANEL = 4.2  # inches of the longer side of the plotted box
 DPI = 200  # pixels per inch
-SQUARE = Box((0, 0), (1, 1))  # the shape of pictures whose axes have different units
+SQUARE = Box((0, 0), (1, 1))  # gives pictures whose axes have different units a square shape
 
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function, such as a PLR, each of whose leaves (pieces) covers one or more boxes."""
+    """A piecewise function, such as a PLR, in which each piece (leaf) covers one or more boxes of the domain."""
 
     @property
     def leaf_of_box(self) -> Any: ...
@@ -36,12 +36,12 @@ class FunctionsOfLeaves(PiecewiseFunction, Protocol):
 
 
 def save(ax: Axes, path: str | os.PathLike[str]) -> None:
-    """Write the picture that axes belong to, in any format that Matplotlib supports, such as .png, .pdf or .svg."""
+    """Write the figure of the axes to a file, in any format that Matplotlib supports, such as .png, .pdf or .svg."""
     ax.figure.canvas.figure.savefig(path)
 
 
 def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
-    """Return axes, given or else new, with the limits, ticks, labels and colors for a plane slice of a box."""
+    """Return ``ax``, or new axes if it is None, with limits, ticks, labels and colors for the slice ``shown``."""
     box = shown.box
     same_unit = is_angle(shown.domain, shown.axes[0]) == is_angle(shown.domain, shown.axes[1])
     ax = ax or new_axes(box if same_unit else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
@@ -61,7 +61,7 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
 
 
 def is_angle(domain: Box, axis: int) -> bool:
-    """Return whether an axis is an angle in radians: periodic, and a full turn wide."""
+    """Return whether an axis of the domain is an angle in radians: periodic, and a full turn wide."""
     return domain.periodic[axis] and math.isclose(domain.width[axis], 2 * math.pi)
 
 
@@ -75,7 +75,7 @@ def axis_label(domain: Box, axis: int) -> str:
 
 
 def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
-    """Write a multiple of a quarter turn, pi / 2, for the ticks of an axis."""
+    """Return the tick label of an angle in radians, a multiple of pi / 2, as a multiple of the letter pi."""
     halves = round(angle / (math.pi / 2))
     if halves % 2:
         return {1: r"$\pi/2$", -1: r"$-\pi/2$"}.get(halves, rf"${halves}\pi/2$")
@@ -83,7 +83,10 @@ def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
 
 
 def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
-    """Return axes of the box's shape in a new figure, with margins in inches: (left, bottom) and (right, top)."""
+    """Return axes with the proportions of a box in the plane, in a new figure.
+
+    ``before`` has the margins (left, bottom), ``after`` has (right, top), in inches.
+    """
     size = _PANEL * box.width / box.width.max()
     total = size + np.add(before, after)
     figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")

@@ -1,4 +1,4 @@
-"""Self-contained web pages: interactive pages of distance functions, and building blocks of animations."""
+"""Make self-contained web pages: interactive pages of distance functions, and parts of the pages of animations."""
 
 import html
 import json
@@ -39,7 +39,7 @@ def asset(name: str) -> str:
 
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
-    """Assemble a web page from its parts; ``style`` is further CSS, ``script`` is JavaScript."""
+    """Assemble a web page: ``style`` is CSS added to ``page.css``, ``body`` is HTML, and ``script`` is JavaScript."""
     placeholders = {
         "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
@@ -53,7 +53,7 @@ def html_document(title: str, style: str, body: str, script: str) -> str:
 
 
 def packed_script(script: str) -> str:
-    """Return a script that unpacks and runs a given script, which is stored deflated and in base 64."""
+    """Return a short script that holds ``script`` compressed (deflate, base 64), and unpacks and runs it."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)  # without header, as "deflate-raw" expects
@@ -71,26 +71,26 @@ def pixel_scale(bounds: Box) -> float:
 
 
 def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
-    """Return points as text for SVG, in pixels from the upper left corner of the bounds."""
+    """Return points as text for SVG, as pixel coordinates from the upper left corner of the bounds."""
     scale = pixel_scale(bounds)
     x, y = scale * (points[:, 0] - bounds.lo[0]), scale * (bounds.hi[1] - points[:, 1])
     return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
 
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
-    """Return the obstacles as the path data of SVG, in pixels, to be filled by the even-odd rule."""
+    """Return a workspace's obstacles as SVG path data, in pixels (:func:`pixels`), for the even-odd fill rule."""
     rings = shapely.get_rings(blocked_polygons(workspace))
     return "".join(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z" for ring in rings)
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A web page that shows a distance function, made by :func:`page`; notebooks show it. ``html`` is its text."""
+    """A web page that shows a distance function, made by :func:`page`. Notebooks show it; ``html`` is its text."""
 
     html: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the page to an ``.html`` file; another ending raises ``ValueError``."""
+        """Write the page to an ``.html`` file; another ending of the name raises ``ValueError``."""
         path = file_path(path)
         if path.suffix.lower() != ".html":
             raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")
@@ -106,12 +106,13 @@ class Page:
 def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Page:
     """Return a self-contained web page of a distance function, which needs no server or network.
 
-    It shows distances as colors and contours, the walls, and optionally the cells; at the pointer the distance, its
-    proven bounds and a path. A click starts a swarm that flows to the goal. For pairs (distances between any two
-    points), both ends can be dragged. Files of pairs, or of PLRs with cone leaves, can be dropped on the page.
-    The page's answers equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit. The walls are those of
-    ``workspace``; pairs have their own. ``ValueError`` is raised for anything but a PLR or PairPLR in the plane and a
-    Workspace.
+    The page shows distances as colors and contours, the walls, and optionally the cells. At the pointer it shows the
+    distance, its proven bounds and a path. A click starts a swarm of points that flow to the goal. For pairs
+    (distances between any two points), both points can be dragged. Other files of pairs, or of PLRs with cone leaves,
+    can be dropped on the page. Distances equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
+
+    For a PLR, the walls drawn are the obstacles of ``workspace``; pairs have walls of their own. ``ValueError`` is
+    raised unless the first argument is a PLR or PairPLR in the plane, and ``workspace`` is a Workspace or None.
     """
     source = plr_or_pairs
     if not isinstance(source, PLR | PairPLR):
@@ -140,13 +141,16 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
 
 def _is_plain_cone(container: Container) -> bool:
-    """Return whether a PLR has cone leaves, on a domain without periodic axes and folding."""
+    """Return whether a PLR file has cone leaves, and neither periodic axes nor a folding by mirror symmetries."""
     is_plain = container.folding is None and not container.domain.is_periodic
     return is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
 
 
 def _module(data: bytes) -> str:
-    """Return a JavaScript object with a reader of the PLR file ``data``, its size, cell count and proven error."""
+    """Return JavaScript code of an object that holds a reader of the PLR file ``data``, and numbers about the file.
+
+    The numbers are its size in bytes, its number of cells, and its proven error.
+    """
     plr = NumpyPLR(data)
     module = plr.js_module()
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

@@ -1,4 +1,4 @@
-"""Pictures of problems, planned paths and samples, with the drawing of robots that animations share."""
+"""Draw problems, planned paths and samples; and draw robots, also for animations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ from plr_jax.robots.robot import Robot, placed, rows_around, shorter_turn
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """A path of all robots: configurations at nondecreasing times from 0 to the makespan.
+    """A path of all robots: configurations at nondecreasing times, from 0 to the path's duration.
 
-    Headings grow beyond pi instead of jumping by a turn.
+    Headings are continuous: they grow beyond pi instead of jumping by a full turn.
     """
 
     times: Float[np.ndarray, " steps"]
@@ -50,12 +50,15 @@ class Timeline:
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
-    """Return a path with the times of its configurations, without steps in which no robot moves."""
+    """Return a path with the time of each of its configurations; steps in which no robot moves are left out.
+
+    ``ValueError`` if the path is not finite.
+    """
     path = as_path(problem, path)
     bad = np.argwhere(~np.isfinite(path))  # (step, robot, coordinate)
     if bad.size:
         raise ValueError(f"A path must be finite, got {path[tuple(bad[0][:2])]} in step {bad[0][0]}.")
-    # 1. Sum the moves, of which headings take the shorter turn. A robot without a heading does not turn.
+    # 1. Sum the moves. Headings change by the shorter turn. A robot without a heading does not turn.
     moves = np.diff(path, axis=0)
     if problem.dof == 3:
         has_heading = np.array([robot.dof == 3 for robot in problem.robots])
@@ -100,12 +103,12 @@ def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
 
 
 def drawn_rounding(robot: Robot, bounds: Box) -> float:
-    """Return the radius by which a robot's core is rounded in pictures: for a point robot, that of a visible dot."""
+    """Return the radius by which pictures round a robot's core polygon; for a point robot, the radius of a dot."""
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
 def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
-    """Return the ends of a bar across a robot's body near its front, in its own frame; it shows the heading."""
+    """Return the ends of a bar that shows the heading: across a robot's body near its front, in the robot's frame."""
     #   +---------|--+
     #   |         |  |-->   The bar takes 56 % of the body's width at x, which is 20 % of the body's shorter side
     #   +---------|--+      behind the front.
@@ -169,7 +172,8 @@ def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text
 def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"]) -> None:
     """Write each robot's number inside its outline if there is room, else beside it.
 
-    ``ends`` are the configurations of all robots' bodies; the goals of all robots may follow, to be numbered too.
+    The first rows of ``ends`` are the configurations at which the robots' bodies are drawn. The goals of all robots
+    may follow; their outlines are numbered too.
     """
     # 1. Outlines of bodies are filled (solid), those of goals are lines (dashed).
     bounds = problem.workspace.bounds
@@ -185,12 +189,12 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
         size = number_size(ax, i)
         fits = 2 * robot.inscribed_radius >= 0.75 * size
         if fits and not (is_goal and shapely.intersects(_square(center, size), solid).any()):
-            # 2. Inside: at the center, but in a body off the center if a goal's outline runs through the center.
+            # 2. Inside: at the center. In a body, it is off the center if a goal's outline runs through the center.
             around = [center, *(center + 0.45 * robot.inscribed_radius * _AROUND)]
             place = center if is_goal else _least_covered(around, dashed, size)
             add_number(ax, i, place, color_of(i) if is_goal else ink_on(color_of(i)))
         else:
-            # 3. Beside: at one of eight places close around the outline, where the least is drawn.
+            # 3. Beside: at the one of eight places around the outline where the least is drawn.
             corners = shapely.get_coordinates(shape) - center
             around = [center + ((corners @ u).max() + 0.62 * size) * u for u in _AROUND]
             place = _least_covered(around, occupied, size)
@@ -210,7 +214,7 @@ def number_size(ax: Axes, i: int) -> float:
 def _least_covered(
     places: Sequence[Float[np.ndarray, "2"]], drawn: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the place where a square of side ``size`` covers the least of what is drawn, by length of lines."""
+    """Return the place where a square of side ``size`` covers the least total length of the ``drawn`` outlines."""
     covered = [shapely.length(shapely.intersection(_square(place, size), drawn)).sum() for place in places]
     return places[int(np.argmin(covered))]
 
@@ -246,9 +250,9 @@ def plot_path(
 ) -> Axes:
     """Draw a path ``(steps, robots, dof)`` or a part of it, as in Fig. 3 of the paper (Putman et al.).
 
-    The part lasts from ``begin`` to ``end``, shares of the makespan. Each robot leaves a line in its color and
-    ``num_poses`` faded bodies at equal times, fewer if it waits. Its body at the end of the part is solid and
-    numbered. An invalid path or number raises ``ValueError``.
+    The part lasts from ``begin`` to ``end``, fractions of the path's duration. Each robot's path is a line. Faded
+    bodies show the robot at ``num_poses`` evenly spaced times; a robot that waits has fewer. The body at the end of
+    the part is solid and numbered. An invalid path or number raises ``ValueError``.
     """
     if not 0 <= begin < end <= 1:
         raise ValueError(f"begin and end must be shares with 0 <= begin < end <= 1, got {begin!r} and {end!r}.")
@@ -272,7 +276,11 @@ def plot_path(
 
 
 def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -> Axes:
-    """Draw ``solution.samples`` ``(n, robots, dof)``, as in Fig. 4 of the paper; ``ValueError`` for another shape."""
+    """Draw positions, such as ``solution.samples``, as dots in a picture of the problem.
+
+    The samples have the shape ``(n, robots, dof)``; another shape raises ``ValueError``. Fig. 4 of the paper (Putman
+    et al.) is such a picture.
+    """
     shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
     samples = as_numbers("Samples", samples, f"numbers of shape {shape}")
     if samples.ndim != 3 or samples.shape[1:] != problem.starts.shape:

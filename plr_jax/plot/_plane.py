@@ -1,4 +1,4 @@
-"""Pictures of functions in the plane and of slices: surfaces, contours, cells and errors; and of workspaces."""
+"""Draw workspaces, and functions of the plane or of a slice: as a surface, as contours, as cells, or as errors."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -80,7 +80,10 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return polygons of a surface in space: each cell, or its free parts, at the heights of the leaf's values."""
+    """Return a PLR's surface as polygons in space, ``(corners, 3)``: cells, raised to the values of their leaves.
+
+    With a workspace, the polygons are the free parts of cells. Polygons with a value that is not finite are left out.
+    """
     # 1. List the polygons of each cell. A box of the partition gives one cell, so `leaf_of_box` is the cell's leaf.
     cells = _cells_of(plr, Slice.of(plr.domain, None))
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
@@ -144,17 +147,18 @@ def plot_contours(
     """Draw a distance function, or another cost-to-go, as colors with contour lines.
 
     Args:
-        plr: The PLR. Points without a finite value stay blank.
+        plr: The PLR, or another function of a box. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
-        workspace: Its obstacles are drawn on top, over meaningless values. With a ``goal``, free regions that are
-            disconnected from the goal are gray too.
-        space: Alternatively, a configuration space: points that are not free are gray.
+        workspace: The workspace whose obstacles are drawn on top; values inside obstacles have no meaning. With a
+            ``goal``, free regions that are disconnected from the goal are gray too.
+        space: Instead of a workspace, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
             drawn, such as ``{2: 0.5}``. Angles are in radians.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
-        resolution: Number of samples along the longer side of the domain; contour lines need two along the other.
+        resolution: Number of samples along the longer side of the domain. Contour lines need at least two samples
+            along the other side.
 
     Raises:
         ValueError: If ``at`` does not leave two axes or is outside the domain, the workspace or space has other axes,
@@ -202,7 +206,11 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw values on a slice: colors from 0 to ``largest``, up to ``num_levels`` contours, gray where ``closed``."""
+    """Draw ``values`` at the ``points`` of the slice ``shown``, and return the image of their colors.
+
+    Colors range from 0 to ``largest``. At most ``num_levels`` contour lines are added. Gray covers the points where
+    ``closed`` is True.
+    """
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1  # Matplotlib draws contours only of two rows and two columns or more
@@ -229,7 +237,7 @@ def plot_cells(
     at: Mapping[int, float | int] | None = None,
     color: str = _CELL_COLOR,
 ) -> Axes:
-    """Draw the cells of a partition, one rectangle per leaf; arguments and errors as for :func:`plot_contours`."""
+    """Draw the boxes of a PLR's leaves as rectangles; arguments and errors are as for :func:`plot_contours`."""
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, None)
     ax = prepare_axes(ax, shown, room_for_colorbar=False)
@@ -250,17 +258,19 @@ def plot_error(
     unit: str = WORKSPACE_UNITS,
     largest: float | None = None,
 ) -> Axes:
-    """Draw the error ``|L - V|`` of an approximation over free space, as in Fig. 2 of the paper.
+    """Draw errors ``|L - V|`` of an approximation ``L`` of distances ``V`` in free space, as in Fig. 2 of the paper.
 
     Args:
         errors: Result of ``metrics.error_grid``: errors at the cell centers of a grid, row 0 at the lowest ``y``. NaN
             is blank, infinite errors (points without an answer) are red. At least one is finite.
-        workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
+        workspace: The workspace or the configuration space in which the errors were measured. Obstacles of a
+            workspace are drawn on top.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors, such as "m".
-        largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it and clips
-            errors beyond its ends. By default the 99.9 % quantile. Use the same number in pictures to compare.
+        largest: Error at the upper end of the logarithmic color scale. The lower end is a thousandth of this error.
+            Errors beyond the ends get the colors of the ends. By default, the 99.9 % quantile. Give the same number
+            to pictures that are to be compared.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]
@@ -287,7 +297,10 @@ def plot_error(
 
 
 def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Raise a ``ValueError`` unless a slice is one of the workspace, or of the space, and not both are given."""
+    """Raise a ``ValueError`` if a slice does not fit the workspace or the space, or if both are given.
+
+    A workspace needs a slice along axes 0 and 1; a space must have as many dimensions as the slice's domain.
+    """
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave it out.")
     if workspace is not None and space is not None:
@@ -309,14 +322,17 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
+    """Split free space into the polygons from which a goal can be reached, and the other polygons.
+
+    If no goal is in free space, all polygons count as reached.
+    """
     parts = shapely.get_parts(workspace.free_space)
     is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
     return (list(parts[is_reached]), list(parts[~is_reached])) if is_reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:
-    """Return the corners, counterclockwise, of the rectangles in which cells meet a slice."""
+    """Return the rectangles in which boxes of a PLR's leaves meet a slice: four corners each, counterclockwise."""
     # 1. Along the axes that are fixed, a cell holds the coordinates lo <= at < hi; the last cell holds its hi too.
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     fixed = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]

@@ -1,4 +1,4 @@
-"""Pictures of functions of three or more dimensions: slices side by side with one color scale."""
+"""Draw a function of three or more dimensions as slices, side by side with one color scale: :func:`slices`."""
 
 from collections.abc import Mapping
 
@@ -24,8 +24,8 @@ from plr_jax.plot._plane import draw_values, free_points, mark_goals, require_dr
 from plr_jax.spaces import FreeTest
 
 _MOST_SLICES = 64
-_NUM_LEVELS = 12  # of contours
-_ASPECT = 1.6  # width of all slices together, by their height
+_NUM_LEVELS = 12  # largest number of contour levels
+_ASPECT = 1.6  # width of all slices together, divided by their height
 # Inches, along x and y.
 _PANEL = 1.9  # the longer side of a slice
 _GAP = (0.2, 0.35)  # between slices, with room for titles
@@ -47,15 +47,16 @@ def slices(
 ) -> list[Axes]:
     """Draw slices of a function of three or more dimensions, side by side with one color scale.
 
-    The result is the axes of the slices in a new figure, from the lowest coordinate on. Errors are those of
-    :func:`plot_contours`.
+    The result is the list of the slices' axes, all in a new figure, by ascending coordinate along ``axis``. Errors
+    are raised as by :func:`plot_contours`.
 
     Args:
         plr: The PLR, or another function of a box.
         axis: The axis along which slices are stacked, counted from 0.
-        count: Number of slices, from 1 to 64, in the middle of equal layers of the domain.
-        space: The configuration space: points that are not free, or have no value, are gray. None: they stay blank.
-        goal: A configuration, ``(dim,)``. The nearest slice is moved to contain it, and marks it with a star.
+        count: Number of slices, from 1 to 64. The slices are the middles of equally thick layers of the domain.
+        space: The configuration space: points that are not free, or have no value, are gray. None: points without a
+            value stay blank.
+        goal: A configuration, ``(dim,)``. The nearest slice is moved to contain the goal, which a star marks.
         at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".

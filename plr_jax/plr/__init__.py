@@ -1,4 +1,4 @@
-"""PLRs (piecewise linear regressions): build, prove, store and evaluate them."""
+"""Build, store and evaluate piecewise linear regressions (PLRs) of distance functions, and prove error bounds."""
 
 import lazy_loader
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
 
 # Samples of a cell.
-_SAMPLE_FACTORS = 1, 8, 64  # of the number of samples, tried until enough samples of the domain reach the goal
+_SAMPLE_FACTORS = 1, 8, 64  # factors of num_samples, tried in turn until enough samples of the domain reach the goal
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
 _SPARSE = 1 / 16  # if a smaller share of the domain reaches the goal, cells with few samples are split first
@@ -53,7 +53,7 @@ _PARTS = 8  # boxes along each axis of a leaf, to measure how much of the leaf i
 # Choice of models for leaf="best". The two ratios were measured on random maps with 10 to 80 blocked cells.
 _CROWDED = 4  # cones are tried if all corners take at most this many times the byte budget
 _ROOMY = 0.5  # only cones are tried if all corners take at most this share of the byte budget
-_BYTES_A_SOURCE = 7  # of a corner in a file, if coordinates are on no lattice; else 3 or more
+_BYTES_A_SOURCE = 7  # bytes of a corner in a file if coordinates are on no lattice; else a corner takes at least 3
 _MOST_TIED_AXES = 6  # most dimensions of continuous leaves
 _ERROR_POINTS = 4096  # random points at which errors of models are compared
 
@@ -68,12 +68,14 @@ class BuildOptions:
 
     Args:
         compute_coefficients: Function that fits each cell's plane: ``least_squares`` or your own. For planes only.
-        should_split: Function from a ``CellFit`` to a priority for each cell: ``largest_error``, ``center_error``,
-            ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
+        should_split: Function from a ``CellFit`` (the fits of several cells) to a priority for each cell:
+            ``largest_error``, ``center_error``, ``maximum_depth`` or your own. The cell of the largest positive
+            priority is split next.
         split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
-        num_samples: Samples in each cell, at most 65,536. None: 192 for planes, 96 for others. At least ``dim + 1``
-            for planes and cones, ``2**dim + 1`` for others; take several times as many.
-        margin: Fraction of a cell's width, from 0 to 1, by which samples reach beyond the cell, against noise.
+        num_samples: Samples in each cell, at most 65,536. None: 192 for planes, 96 for other leaves. At least ``dim +
+            1`` for planes and cones, ``2**dim + 1`` for other leaves; take several times as many.
+        margin: Fraction of a cell's width, from 0 to 1, by which samples reach beyond the cell. Use it if distances
+            are noisy.
         weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1.
         executor: ``concurrent.futures.Executor`` that evaluates a slow distance function, 1,024 points at a time; the
             number of workers does not change the PLR. Processes need a picklable function. None: this process.
@@ -125,10 +127,10 @@ def construct(
         plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=4096, certified=True)
         plr(points)  # distances (n,) of points (n, dim)
 
-    Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
-    for other distance functions; ``"plane"`` for the paper's leaf and fast queries. Limits may be combined:
-    construction stops at the first one that is reached; without limits at 512 leaves, or at 2,048 leaves in more than
-    two dimensions if rooms without a path to the goal must be separated.
+    Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"`` for other
+    distance functions; ``"plane"`` for the paper's leaf and fast queries. Limits may be combined: construction stops
+    at the first limit that it reaches. Without limits, it stops at 512 leaves, or at 2,048 leaves if rooms without a
+    path to the goal must be separated in more than two dimensions.
 
     Args:
         distance_fn: Function from points ``(n, dim)`` to distances to the goal ``(n,)``; ``inf`` or a masked entry
@@ -137,9 +139,9 @@ def construct(
         leaf: Leaf model: a name from the list below, or an instance such as ``Plane(coefficient_bits=16)``.
         max_bytes: Largest size of the PLR's file, in bytes. Planes then choose the number of bits per coefficient.
         max_leaves: Largest number of leaves.
-        max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
-            along one axis as well: in the plane to 14, for other leaves than cones in small files to fewer (planes in
-            2 KB: 7), in ``dim`` > 2 dimensions to ``28 // dim``.
+        max_depth: Largest number of splits between the root and a leaf, at most 60. Lookup tables also limit the
+            halvings along each axis: to 14 in the plane, to ``28 // dim`` in ``dim`` > 2 dimensions. In small files,
+            leaves other than cones allow fewer halvings, such as 7 for planes in 2 KB.
         tolerance: Error, in units of distance, up to which cells are not split. The error of a cell is its priority
             from ``options.should_split`` or, for cones and certified planes, its proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
@@ -152,26 +154,27 @@ def construct(
         - ``"plane"``: one plane a leaf, fitted best-first. The function may jump between leaves.
         - ``"continuous"``: values at the leaves' corners, shared by neighbors, in up to 6 dimensions. Smaller errors
           per byte than planes, but slower to build and to query.
-        - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
-        - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
-          the next corner of the path changes, if the budget has room for all corners (a few bytes each). Needs a
-          distance function in the plane that answers for whole cells.
+        - ``"smooth"``: like ``"continuous"``, but with a continuous gradient, in 1 or 2 dimensions; slower.
+        - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. If the budget has
+          room for all corners (a few bytes each), exact except in leaves from which paths go to different corners
+          first. Needs a distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
           whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. Each
           corner counts as 7 bytes. If all corners take at most half of ``max_bytes``, and neither ``max_leaves``,
-          ``max_depth`` nor rules of your own are given, it tries only cones. If they take over 4 times ``max_bytes``,
-          it tries no cones and, uncertified, no ``"smooth"``.
+          ``max_depth`` nor rules of your own are given, it tries only cones. If all corners take over 4 times
+          ``max_bytes``, it tries no cones and, if not certified, no ``"smooth"``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.
 
     Returns:
-        The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning.
-        Most distance functions of this package know where free points cannot reach the goal. There, the PLR answers
-        ``inf``, except within a 64th of the domain of points that can. If the limits are too small for that, a
-        warning says in which share of the domain. Another warning tells if most of free space cannot reach the goal.
+        The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning. Most
+        distance functions of this package know where free points cannot reach the goal. There, the PLR answers
+        ``inf``, except closer than 1/64 of the domain's width to points that can. If the limits are too small for
+        this, a warning states the share of the domain where the PLR wrongly answers a finite number. Another warning
+        tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -218,7 +221,12 @@ def _build_leaves(
     leaf: LeafModel | str,
     root: CellSources | None = None,
 ) -> DecodedFile:
-    """Build the content of a file with one leaf model. ``root`` has the sources of the whole domain, if known."""
+    """Build a PLR with the leaf model ``leaf``, and return the content of its file.
+
+    ``limits`` are ``max_depth``, ``max_leaves``, ``max_bytes`` and ``tolerance``. ``reach`` tells from where the goal
+    can be reached, if known. ``proof`` is the kind of error bounds to prove. ``root``, if known, has the corners (or
+    the goal) to which shortest paths from points of the domain may go first.
+    """
     # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
     model = leaf_model(leaf)
     model.check_dim(domain.dim)
@@ -285,7 +293,11 @@ def proof_of(certified: bool | str) -> Proof:
 
 
 def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
-    """Warn if most of free space cannot reach the goal, or a PLR answers free points there with a finite number."""
+    """Warn if most of free space is cut off from the goal, or if the PLR answers a finite number at cut-off points.
+
+    The second warning ignores cut-off points that are close to points from which the goal can be reached. If
+    ``reach`` is None, cut-off points are unknown, and there are no warnings.
+    """
     if reach is None:
         return
     dim = contents.domain.dim
@@ -322,9 +334,11 @@ def build_best_model(
     only_bytes: bool,  # whether max_bytes is the only limit and all rules are the defaults
     seed: int,
 ) -> DecodedFile:
-    """Build a PLR with each suitable leaf model, until Ctrl-C, and return the one of the smallest error.
+    """Build a PLR with each suitable leaf model, and return the file content of the PLR with the smallest error.
 
-    ``ValueError`` if no model can be built: the refusal of the model that needs the fewest bytes, or the first one.
+    ``build`` takes the name of a leaf model and the corners to which shortest paths from points of the domain may go
+    first (None if unknown). After Ctrl-C, choose among the PLRs built so far. If no model can be built, raise the
+    ``ValueError`` of the model that needs the fewest bytes; if no error states this number, raise the first error.
     """
     # 1. Find the sources of the whole domain once, for all models.
     root = None
@@ -376,7 +390,11 @@ def build_best_model(
 def _models_to_try(
     root: CellSources | None, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
-    """Return the names of the leaf models among which construction looks for the smallest error."""
+    """Return the names of the leaf models that ``leaf="best"`` builds: see :func:`construct`.
+
+    ``root`` has the corners to which shortest paths from points of the domain may go first; None if they are unknown.
+    ``only_bytes`` tells whether ``max_bytes`` is the only limit and all rules are the defaults.
+    """
     # On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
     # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
     others = ["plane", "continuous", "smooth"]
@@ -406,16 +424,18 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the error of an existing PLR at all points of its domain that reach the goal.
 
-    Return a copy with this proof, in ``max_error`` and ``bounds``, instead of any earlier one. The proof samples no
-    points: the oracle *answers for whole cells*, that is, it knows to which corners shortest paths from the points of
-    a cell may go first. Errors of the oracle itself are not included. Where two parts of free space touch at a point,
-    one cell covers both, so the proven error is at least half of the jump between them.
+    Return a copy of the PLR with this proof instead of any earlier proof: see :attr:`PLR.max_error` and
+    :meth:`PLR.bounds`. The proof samples no points. It needs an oracle that *answers for whole cells*: for each cell,
+    the oracle knows to which corners shortest paths from points of the cell may go first. Errors of the oracle itself
+    are not included. If two parts of free space touch only at a point, the distance may jump there. A cell that
+    covers both parts has a proven error of at least half of the jump.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
         oracle: The distance function, one that answers for whole cells, such as ``VisibilityGraph``.
         leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that groups of leaves share,
-            in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
+            in at most 1/128 of the bytes of the leaves. If 1/128 is less than 10 bytes, only the largest error is
+            stored.
 
     Raises:
         ValueError: If ``plr`` is no PLR in the plane or is folded; its domain is periodic, or too far from the origin
@@ -439,7 +459,11 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], CellSources]:
-    """Return an oracle's ``cell_sources``, by which bounds are proven; ``ValueError`` if there are none."""
+    """Return ``oracle.cell_sources`` if bounds can be proven for PLRs in ``domain``; else raise ``ValueError``.
+
+    The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells (see
+    :func:`certify`).
+    """
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

@@ -45,17 +45,18 @@ def construct_many(
         oracles = [first, *(first.with_goal(goal) for goal in goals[1:])]
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
-    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    built together, which is faster than :func:`construct`:
+    Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. PLRs of cones of a family
+    are built together, which is faster than :func:`construct`:
 
-    - Without a proof, they are chosen by their mean errors at a grid of up to 512 x 512 points that all goals share.
+    - Without a proof, cones are chosen by their mean errors at a grid of up to 512 x 512 points that all goals share.
       Mean errors are mostly smaller than those of :func:`construct`. Once a PLR is exact at all these points, it
       grows no further, so its file may stay below ``max_bytes``.
     - If ``certified``, the leaves of largest proven error are halved until files are full. ``plr.max_error`` and the
       gaps between bounds are mostly smaller than those of :func:`construct`; mean errors may be several times larger.
 
-    All other PLRs are built one by one with :func:`construct`, also cones of a family if a tolerance is given, the
-    limits allow more than about 8,000 leaves, or some of free space cannot reach the goal.
+    All other PLRs are built one by one with :func:`construct`. So are cones of a family in three cases: a tolerance
+    or options other than the executor are given; the limits allow more than about 8,000 leaves; or a part of free
+    space cannot reach the goal.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -67,9 +68,10 @@ def construct_many(
         tolerance: As for :func:`construct`.
         certified: As for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`, except the ``executor``, such as Dask's ``Client.get_executor()``. Each of
-            its tasks builds up to 64 PLRs of a family or a single PLR. If a worker dies, threads of this process
-            build what is left. None: one thread per core.
+        options: As for :func:`construct`, except that workers of ``executor``, such as Dask's
+            ``Client.get_executor()``, build whole PLRs. Each task builds up to 64 PLRs of a family, or a single PLR.
+            If a worker dies, threads of this process build the missing PLRs. If ``executor`` is None, one thread per
+            core builds PLRs.
 
     Returns:
         The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),
@@ -123,7 +125,11 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | WorstFirst | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build PLRs with ``task``, which shares work among oracles; build PLRs that it leaves out with ``alone``."""
+    """Return the bytes of the file of each oracle's PLR.
+
+    ``task`` builds PLRs with the leaf model ``leaf`` for several oracles together, but may leave out some. ``alone``
+    builds the PLR of a single oracle: of each one that the task leaves out, and of all if there is no task.
+    """
     if task is None:
         return [alone(oracle).to_bytes() for oracle in oracles]
     files: dict[int, bytes] = {}

@@ -35,7 +35,10 @@ class DecodedFile:
 
 
 def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves"] | None:
-    """Return the leaves with free points that cannot reach the goal, and no others; None if that is not known."""
+    """Return whether each leaf holds free points that cannot reach the goal, and no point that can reach it.
+
+    Return None if ``reach`` is None, that is, if such points are unknown.
+    """
     return None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
 
 
@@ -55,7 +58,7 @@ def encode(contents: DecodedFile) -> bytes:
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
-    """Encode the tree and the leaves of a PLR; the returned writer can append a proof."""
+    """Encode the tree and the leaves of a PLR; return the writer, so that a proof can be appended."""
     body = BitWriter()
     write_tree(body, contents.tree)
     contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
@@ -94,10 +97,11 @@ def decode(data: bytes) -> DecodedFile:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the domain and the leaf parameters for points given relative to ``origin``.
+    """Return the leaves' domain and the numbers of each leaf that a query reads, for points relative to ``origin``.
 
-    The parameters are for these points minus the lower corner of their domain in 32-bit floats. Mirrored points are
-    relative to the center of the symmetries already.
+    From such a point, the query subtracts the domain's lower corner in 32-bit floats; the numbers are coefficients of
+    functions of this difference. If the PLR is folded, ``origin`` is not used: folded points are relative to the
+    center of the mirrors.
     """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
@@ -110,7 +114,11 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of each leaf's function; a leaf without one gets a neighbor's plane, or ``inf``."""
+    """Return the coefficients of each leaf's function.
+
+    A leaf without a function gets the plane of a neighbor with a function. If it has no such neighbor, or is cut off
+    from the goal, its first coefficient is ``inf``: the leaf answers ``inf``.
+    """
     # 1. Find the leaves without a function. Leaves that are cut off answer ``inf``.
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)

@@ -38,9 +38,10 @@ class PLR(FileBacked):
     """A distance function compressed into a tree of cells: each final cell, a *leaf*, stores a simple function.
 
     :func:`construct` and :func:`load` make PLRs. ``plr(x)`` evaluates a PLR: see :func:`evaluate`. A PLR is immutable
-    and a pytree of arrays: a jitted function can close over it or take it as an argument. Such a function can only
-    query it; properties like ``domain`` need concrete arrays. If arrays are replaced, as by ``jax.tree.map``, queries
-    use the new ones, but the file, proof and exports raise ``ValueError``. Reference: Putman et al., Section III.
+    and a pytree of arrays: a jitted function can close over it or take it as an argument. As an argument, a PLR can
+    only be queried, since properties like ``domain`` need concrete arrays. If arrays of a PLR are replaced, as by
+    ``jax.tree.map``, queries use the new arrays, but the file, proof and exports raise ``ValueError``. Reference:
+    Putman et al., Section III.
 
     ``jax.grad`` differentiates with respect to points, but raises ``TypeError`` with respect to the PLR, because a
     PLR has integer tables.
@@ -62,7 +63,10 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven bounds of distance minus PLR (rows: lower, upper), a column per leaf or one for all; or None."""
+        """Proven lower (row 0) and upper (row 1) bounds of (distance - PLR's value); None without a proof.
+
+        There is one column if all leaves share the bounds, else a column per leaf, padded to a power of two.
+        """
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -71,7 +75,7 @@ class PLR(FileBacked):
 
     @cached_property
     def goals(self) -> Int[Array, " rows"] | None:
-        """Index of the nearest goal for each leaf, if the file stores it; or None."""
+        """Index of each leaf's nearest goal, padded to a power of two; None if the file does not store goals."""
         if (goals := goal_of_leaves(self.leaf, self._contents.stored)) is None:
             return None
         with jax.ensure_compile_time_eval():
@@ -83,8 +87,8 @@ class PLR(FileBacked):
     def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
         """Return a copy whose :meth:`which` calls ``nearest_goal``, such as :meth:`NearestGoal.which`.
 
-        ``nearest_goal`` maps points ``(n, dim)`` to indices ``(n,)``; ``ValueError`` if it is no function. A PLR
-        file does not store it.
+        ``nearest_goal`` maps points ``(n, dim)`` to indices of goals ``(n,)``; ``ValueError`` if it is no function.
+        PLR files do not store this function.
         """
         require_function("nearest_goal", nearest_goal)
         plr = copy(self)
@@ -102,7 +106,11 @@ class PLR(FileBacked):
         return evaluate_anywhere(tables, x, as_outside(outside))
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
-        """Return a reader that answers few points without compiling, with equal bits; None if JAX must answer."""
+        """Return a NumPy reader that answers at points ``x`` as JAX does, but without compiling; None if it cannot.
+
+        It can answer at most 4,096 points of 32 or 64 bits that are not traced. It cannot if ``jax_enable_x64`` is
+        set, the PLR's arrays were replaced, or the points have 32 bits and the domain is far from the origin.
+        """
         if not is_on_one_host(x) or has_doubles() or x.size > _FEW * self.tables.dim:
             return None
         is_double = x.dtype == np.float64
@@ -118,10 +126,12 @@ class PLR(FileBacked):
         return self.numpy() if can_read else None
 
     def tables_and_points(self, x: Array | np.ndarray) -> tuple[Tables, Array | np.ndarray]:
-        """Return the tables that answer at points, and the points as these tables take them.
+        """Return the lookup tables for a query at points ``x``, and the points in the form that these tables take.
 
-        NumPy's 64-bit points are moved into the domain along periodic axes and, in a domain far from the origin, made
-        relative to its lower corner, before compiled code rounds them to 32 bits.
+        Compiled code rounds points to 32 bits, unless ``jax_enable_x64`` is set. Therefore 64-bit NumPy points are
+        changed first: they are moved into the domain along periodic axes. If the domain is far from the origin and
+        ``jax_enable_x64`` is not set, they are also made relative to its lower corner. Other points stay as they are,
+        and so do all points if the PLR is traced.
         """
         is_double = not isinstance(x, jax.Array) and x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,)
         if not is_double or isinstance(self.file, Tracer):
@@ -144,14 +154,14 @@ class PLR(FileBacked):
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
         Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
-        outside the domain and where the PLR answers ``inf``, and NaN for NaN. In obstacles, and elsewhere where the
-        goal cannot be reached, they are meaningless.
-        ``ValueError`` if the PLR has no proof, or as for :func:`evaluate`.
+        outside the domain and where the PLR answers ``inf``, and NaN where a coordinate is NaN. In obstacles, and
+        elsewhere where the goal cannot be reached, they are meaningless. ``ValueError`` if the PLR has no proof, or
+        if the points are invalid (see :func:`evaluate`).
 
-        The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
-        given, and covers the rounding of a query. It holds on the boundaries of obstacles, but not at points that are
-        free, or connected to the goal, only because of the workspace's tolerance. In a domain far from the origin,
-        bounds hold for points as :func:`evaluate` rounds them.
+        The proof refers to the oracle or space that was given to :func:`construct`, :func:`certify` or
+        :func:`solve_eikonal`, and covers the rounding of a query. It holds on the boundaries of obstacles. It does
+        not hold at points that are free, or connected to the goal, only because of the workspace's tolerance. In a
+        domain far from the origin, bounds hold for points as :func:`evaluate` rounds them.
         """
         band = self._require_band()
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -184,7 +194,10 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven largest error where ``bounds`` hold, in distance units; ``inf`` if unbounded, None if unproven."""
+        """Proven upper bound of the PLR's error, in units of distance, at all points where :meth:`bounds` hold.
+
+        It is ``inf`` if the error of some leaf has no upper bound, and None without a proof.
+        """
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
 
@@ -193,9 +206,10 @@ class PLR(FileBacked):
 
         A wall may lie between a point and its waypoint. At a source, the waypoint may be that source itself. For
         whole paths see :func:`trace`. Points ``x``, ``(..., dim)``, are given as for :func:`evaluate`. Waypoints,
-        ``(..., dim)``, have the precision of ``x``; they are NaN outside the domain and for NaN, and have no meaning
-        where the PLR answers ``inf``. For NumPy's 64-bit points in a domain far from the origin, they are a NumPy
-        array. ``ValueError`` if the leaves are not cones, or as for :func:`evaluate`.
+        ``(..., dim)``, have the precision of ``x``. They are NaN outside the domain and where a coordinate is NaN,
+        and have no meaning where the PLR answers ``inf``. For NumPy's 64-bit points in a domain far from the origin,
+        the result is a NumPy array. ``ValueError`` if the leaves are not cones, or if the points are invalid (see
+        :func:`evaluate`).
         """
         as_sourced(self.leaf)
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -210,10 +224,11 @@ class PLR(FileBacked):
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
         Where two goals are about equally near, the index may be wrong. If a goal was given twice, its first index is
-        returned. A file stores goals only if the PLR has cones and was built from a :class:`NearestGoal` of
-        visibility graphs. Such a PLR also answers inside ``jit``, for points ``(..., dim)``. Other PLRs of several
-        goals lose them in a file and in a jitted function; see :meth:`with_nearest_goal`. ``ValueError`` if the PLR
-        does not know its goals, or points have another shape.
+        returned. ``ValueError`` if the PLR does not know its goals, or points have another shape.
+
+        A file stores goals only if the PLR has cones and was built from a :class:`NearestGoal` of visibility graphs.
+        Such a PLR also answers inside ``jit``, for points ``(..., dim)``. Any other PLR of several goals loses them
+        when it is saved, and does not answer inside ``jit``; see :meth:`with_nearest_goal`.
         """
         if self.nearest_goal and not isinstance(x, Tracer):
             x = as_points("x", x, self.dim)
@@ -239,25 +254,25 @@ class PLR(FileBacked):
         return NumpyPLR(self.to_bytes())
 
     def c_header(self, name: str, compact: bool = False) -> str:
-        """Return the PLR as a C99 header, also valid C++, which allocates no memory.
+        """Return the PLR as the text of a C99 header, which is also valid C++.
 
-        Its only library calls are ``sqrtf`` and, if compact, ``memcpy`` and ``memset``. It defines ``float
-        NAME_distance(const float x[dim])`` and, for cones, ``void NAME_waypoint(const float x[dim], float
-        waypoint[dim])``; in a domain far from the origin, coordinates are doubles. Results equal those of
-        :meth:`numpy` bit for bit if compiled with ``-ffp-contract=off``.
+        The header defines ``float NAME_distance(const float x[dim])`` and, for cones, ``void NAME_waypoint(const
+        float x[dim], float waypoint[dim])``. In a domain far from the origin, coordinates are doubles. The code
+        allocates no memory, and calls only ``sqrtf`` and, if compact, ``memcpy`` and ``memset``. Results equal those
+        of :meth:`numpy` bit for bit if compiled with ``-ffp-contract=off``.
 
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
-            compact: True for the bytes of :meth:`c_bytes` and their decoder, in a half to a twelfth of the memory of
-                plain tables; queries then take two to five times as long, with smooth leaves 38 times.
+            compact: True stores the bytes of :meth:`c_bytes` and a decoder, which take a half to a twelfth of the
+                memory of plain tables. Queries then take two to five times as long, with smooth leaves 38 times.
         """
         return self.numpy().c_header(name, compact)
 
     def c_bytes(self) -> bytes:
         """Return the bytes that the decoder in a compact C header reads.
 
-        A program can receive such bytes while it runs, and query them once ``plr_jax_open`` has accepted them. For
-        files of 1 KB or more in the plane, they take one to four times the file's size.
+        A program can receive such bytes while it runs, and query them once the header's function ``plr_jax_open`` has
+        accepted them. For PLR files of 1 KB or more in the plane, the bytes take one to four times the file's size.
         """
         return self.numpy().c_bytes()
 
@@ -274,17 +289,19 @@ class PLR(FileBacked):
         """Combine one PLR per robot of a team into a function of joint configurations, compiled as one.
 
         PLRs may differ in size, dimension and leaf model. The function maps joint configurations ``(n, robots,
-        dof)``, NumPy, to distances ``(n, robots)``, float64. Each PLR sees the leading coordinates of its robot and
-        answers as by itself, bit for bit. ``ValueError`` if ``plrs`` is no list of PLRs. The function raises
-        ``ValueError`` if the number of robots is wrong, or a PLR has more dimensions than ``dof``.
+        dof)``, NumPy, to distances ``(n, robots)``, float64. Each PLR is evaluated at the leading ``dim`` coordinates
+        of its robot, with the same result as without the stack, bit for bit. ``ValueError`` if ``plrs`` is no list of
+        PLRs. The function raises ``ValueError`` if the number of robots is wrong, or a PLR has more dimensions than
+        ``dof``.
         """
         plrs = as_plrs(plrs)
         return TableStack(tuple(plrs), (None,) * len(plrs))
 
     def values_in_leaves(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
-        """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
+        """Evaluate the function of leaf ``leaf[i]`` at point ``x[i]``, also outside that leaf, in double precision.
 
-        Along periodic axes, points are first moved by whole periods to near the leaf's center.
+        If the PLR is folded, points are first mirrored into :attr:`folded_domain`. Along periodic axes, they are
+        then moved by whole periods to near the leaf's center.
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
@@ -339,9 +356,10 @@ class PLR(FileBacked):
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
-        """Lower and upper corners of leaves, ``(boxes, dim)`` each, with mirror images if the PLR is folded.
+        """Lower and upper corners of the leaves' boxes, ``(boxes, dim)`` each.
 
-        ``ValueError`` if it is folded by symmetries of the distance function along rotated axes.
+        If the PLR is folded by mirror symmetries, the mirror images of the leaves are boxes, too. ``ValueError`` if
+        the axes of the symmetries are rotated against the axes of the domain.
         """
         return self._boxes[:2]
 
@@ -358,7 +376,10 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, " leaves"]:
-        """Whether each leaf is stored as unreachable; such a leaf continues a neighbor's plane or answers ``inf``."""
+        """Whether the file marks each leaf as having no path to the goal.
+
+        Such a leaf continues the plane of a neighbor, or answers ``inf``.
+        """
         is_inf = np.isinf(self.leaf.coefficients(self.cells, self.stored)[:, 0])
         cut_off = self._contents.cut_off
         return is_inf if cut_off is None else is_inf | cut_off
@@ -370,7 +391,7 @@ class PLR(FileBacked):
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Gradient of each leaf's plane (mean plane of a curved leaf), in coordinates of :attr:`folded_domain`."""
+        """Gradient of each leaf's plane (of a curved leaf's mean plane), in coordinates of :attr:`folded_domain`."""
         return self._planes[1]
 
     @property
@@ -395,7 +416,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Constant term and gradient of each leaf's plane, for curved leaves of their mean plane."""
+        """Constant term and gradient of each leaf's plane, or of a curved leaf's mean plane."""
         contents, coefficients = self._contents, self._coefficients
         is_inf = np.isinf(coefficients[:, 0])
         lo, hi = contents.tree.leaves.boxes(contents.domain)
@@ -438,7 +459,10 @@ class LowerBound:
         return self.plr.dim
 
     def __call__(self, *x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return a lower bound at each point ``(..., dim)``, after an index if of a stack; see :meth:`PLR.bounds`."""
+        """Return a lower bound of the distance at each point ``(..., dim)``; see :meth:`PLR.bounds`.
+
+        The argument is ``x``. For a stack, the arguments are ``index, x``, as for :meth:`PLRStack.bounds`.
+        """
         return self.plr.bounds(*x)[0]
 
     @staticmethod
@@ -451,10 +475,10 @@ class LowerBound:
 
 
 def from_bytes(data: bytes) -> PLR:
-    """Decode a PLR from the result of :meth:`PLR.to_bytes`; it gives the same answers, bit for bit.
+    """Decode a PLR from the result of :meth:`PLR.to_bytes`; both PLRs give the same answers, bit for bit.
 
     ``ValueError`` if the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
-    floats, or the file's lookup tables would be far larger than those of usual files of its size.
+    floats, or the lookup tables would be far larger than usual for a file of this size.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")

@@ -1,4 +1,4 @@
-"""Prove error bounds of all leaves of a PLR."""
+"""Prove error bounds of all leaves of a PLR, and encode them for its file."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,14 +16,17 @@ _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of t
 
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove bounds of each leaf's error; ``visible`` has the corners to which paths from each leaf may go first."""
+    """Prove bounds of each leaf's error, and encode them for the PLR's file.
+
+    ``visible`` has, for each leaf, the corners (or the goal) to which shortest paths from the leaf may go first.
+    """
     return certificates_of([contents], visible, proof)[0]
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove the bounds of several PLRs of one leaf model and one domain at once.
+    """Prove the bounds of several PLRs of one leaf model and one domain at once; see :func:`certificate_of`.
 
-    ``visible`` has the leaves of all PLRs, one after another.
+    The cells of ``visible`` are the leaves of all PLRs, one PLR after another.
     """
     # 1. Concatenate the functions of all leaves. A leaf without a function may have no point that reaches the goal.
     domain, leaf = contents[0].domain, contents[0].leaf
@@ -65,19 +68,26 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """The bounds that suffice for the file of one of several PLRs, so that a proof can stop."""
+    """A function of attained errors that returns error bounds that suffice for the file of one PLR.
+
+    A proof of several PLRs uses one such function for each PLR to tell when it can stop.
+    """
 
     leaves: slice  # the PLR's leaves among all
     rounding: Errors
     certificate: Callable[..., Certificate]  # ``Certificate.of`` for this PLR
-    last: Certificate | None = None  # of the attained errors that were encoded last
+    last: Certificate | None = None  # certificate of the attained errors that were encoded last
     attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call
 
     def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
-        """Return bounds of errors that suffice, a ``SufficientFn`` for the leaves of this PLR."""
+        """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.
+
+        ``least`` and ``most`` are the smallest and largest errors found so far in each leaf. If ``recompute`` is
+        False, bounds for an earlier file may be returned.
+        """
         # Tighter bounds would hardly change the file of the attained errors. Encode this file again only if attained
         # errors changed, since late in a proof, few PLRs still improve. If `recompute` is False, an earlier file
         # whose leaves share one bound will do as long as this bound holds all attained errors.

@@ -1,9 +1,11 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-A stack finds a point's leaf in a *trie*, level by level. The tables of the trie, *pages*, have an entry for each cell
-of a grid: the first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
-An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i`` to row ``i`` of the
-leaf parameters. For each row ``i``, entry ``i`` is ``2 * i``: later levels do not change a row that was found::
+A stack finds a point's leaf in a *trie*, level by level. Each level consists of *pages*: a page is a table with an
+entry for each cell of a grid. The grid of a PLR's first page covers its domain. The grid of any other page covers a
+cell of the level above that overlaps several leaves. All pages are parts of one array. An odd entry ``2 * i + 1``
+leads to the page that starts at index ``i``, an even entry ``2 * i`` to row ``i`` of the leaf parameters. The first
+``num_rows`` entries refer to themselves: entry ``i`` is ``2 * i``. So once a row is found, reading further levels
+does not change it::
 
     0             num_rows                                                                       entries
     | 0, 2, 4, ... | first page of PLR 0 | first page of PLR 1 | ... | other pages of PLR 0, 1, ... |
@@ -53,10 +55,11 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: PerAxis) -> list[PerAxis]:
-    """Return how often the grid of each level halves each axis, from the whole domain to the finest leaves.
+    """Choose the grids of a trie's levels: return how often each grid halves each axis of the domain.
 
-    ``bits`` has the halvings of the finest leaves. The first page has up to ``_FIRST_BITS`` index bits. The other
-    halvings are spread evenly over as few levels as ``_PAGE_BITS`` allows.
+    The first array is 0 (the whole domain), the last is ``bits``, the halvings of the finest leaves. The first level
+    has up to ``2**_FIRST_BITS`` cells. The other halvings are spread evenly over as few levels as possible, with at
+    most ``_PAGE_BITS`` halvings in each.
     """
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for levels_left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
@@ -66,7 +69,11 @@ def trie_levels(bits: PerAxis) -> list[PerAxis]:
 
 
 def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[PerAxis]) -> Trie:
-    """Build the trie of several PLRs with the leaves ``partitions``; ``rows`` has each leaf's row of parameters."""
+    """Build the trie of several PLRs.
+
+    ``partitions`` has the leaves of each PLR, ``rows`` the row of each leaf in the table of leaf parameters, and
+    ``levels`` the result of :func:`trie_levels`. ``ValueError`` if leaves are too deep or entries are too many.
+    """
     # 1. Masks and shifts that turn the fraction bits between two levels into a row-major index into a page:
     #
     #    fraction of a point along an axis   | above: level's begin | step bits | below end |   FRACTION_BITS bits
@@ -102,12 +109,16 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
 def _pages(
     cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, " entries"]]:
-    """Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level."""
+    """Yield the trie's entries for one PLR, an array for each level.
+
+    ``row`` has the index of each leaf's row of parameters, ``levels`` the result of :func:`trie_levels`.
+    ``next_start`` is the index in the trie at which the PLR's second level begins.
+    """
     # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
     page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
     for level, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
-        # 1. Leaves that the level resolves fill whole entries: those that are not deeper than its `end` grid, but
+        # 1. Leaves that the level resolves fill whole entries. Such leaves are not deeper than its `end` grid, but
         #    deeper than its `begin` grid, except in the first level.
         is_resolved = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (level == 0))
         resolved = cells[is_resolved]
@@ -131,14 +142,18 @@ def _pages(
 def _page_entries(
     place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: PerAxis, end: PerAxis
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return, for cells ``place`` of a level's ``end`` grid, the number of their page and the index in this page."""
+    """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
+
+    Pages belong to cells of the coarser ``begin`` grid; ``page`` has the row-major indices of these cells. A page has
+    an entry for each cell of the ``end`` grid inside the page's cell.
+    """
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
 
 @pytree
 class _SameShapeGroup:
-    """The merged lookup tables of those PLRs in a stack that have the same leaf model, periodic axes and mirrors."""
+    """The merged lookup tables of all PLRs of a stack that share a leaf model, periodic axes and mirrors."""
 
     frame: Tables  # without leaves; each array is one that all PLRs share, or has those of all PLRs, flattened
     trie: Trie
@@ -149,7 +164,7 @@ class _SameShapeGroup:
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
-        # 1. Share the arrays of domains and symmetries that are equal; flatten the others.
+        # 1. Keep one array of domains and symmetries where all PLRs have equal arrays; else join and flatten them.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
         arrays, shapes = [], []
         for column in (list(map(np.asarray, column)) for column in columns):
@@ -184,7 +199,7 @@ class _SameShapeGroup:
         return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """Return tables for points, of which each has a PLR of its own: ``which`` has its index in this group."""
+        """Return tables that evaluate another PLR at each point; ``which`` has the index of this PLR in the group."""
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
@@ -222,7 +237,7 @@ class PLRStack:
             outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:
-            Distances, in the broadcast shape of index and batch, equal up to rounding to those of the single PLRs;
+            Distances, in the broadcast shape of index and batch, equal to the single PLRs' distances up to rounding;
             NaN for indices that are negative or too large.
 
         Raises:
@@ -233,15 +248,18 @@ class PLRStack:
     def bounds(self, index: ArrayLike, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds of the distance of a PLR at each point; see :meth:`PLR.bounds`.
 
-        Arguments, shapes and errors are as for a call. ``ValueError`` if any PLR of the stack has no proof. A PLR
-        whose arrays were replaced before it was stacked has none.
+        Arguments, shapes and errors are as for calling the stack. ``ValueError`` also if a PLR of the stack has no
+        proof. A PLR whose arrays were replaced before it was stacked has no proof.
         """
         self._require_bands()
         return self._query(index, x, None)
 
     @property
     def lower(self) -> LowerBound:
-        """The first result of :meth:`bounds` as a function of index and points; see :attr:`PLR.lower`."""
+        """The proven lower bound as a function ``(index, x)``, the first result of :meth:`bounds`.
+
+        See :attr:`PLR.lower`. ``ValueError`` if a PLR of the stack has no proof.
+        """
         self._require_bands()
         return LowerBound(self)
 
@@ -250,7 +268,7 @@ class PLRStack:
             raise ValueError("Every PLR of the stack must have a proof: see certify.")
 
     def _query(self, index: ArrayLike, x: ArrayLike, outside: Outside | None) -> Any:
-        """Return a tuple of distances or, if ``outside`` is None, of lower and upper bounds."""
+        """Check the arguments; return a tuple: distances or, if ``outside`` is None, lower and upper bounds."""
         # 1. Check index and points. A single NumPy point is repeated by JAX's or NumPy's broadcasting.
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -276,8 +294,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
     PLRs must be of one dimension. A stack is fastest if all have one leaf model; otherwise every point reads the
     tables of each model. To evaluate one PLR for each robot of a team, use :meth:`PLR.stack`. ``ValueError`` if
-    ``plrs`` is no list of at least one such PLR, a PLR's leaves are too deep, or all tables together are too large
-    for 32-bit indices.
+    ``plrs`` is no list of at least one PLR, dimensions differ, a PLR's leaves are too deep, or all tables together
+    are too large for 32-bit indices.
     """
     # 1. Make each PLR's tables. Tables of a far domain take points relative to its corner.
     plrs = as_plrs(plrs)
@@ -316,9 +334,9 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
 @partial(jax.jit, static_argnums=3)
 def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside | None) -> tuple[Array, ...]:
-    """Return the value of PLR ``index`` at each point, or lower and upper bounds if ``outside`` is None.
+    """Return the distances of PLR ``index`` at each point or, if ``outside`` is None, lower and upper bounds.
 
-    They are NaN if there is no PLR of this index.
+    The results are NaN where the stack has no PLR of this index.
     """
     # 1. Broadcast; PLR 0 takes the place of PLRs that do not exist.
     shape = jnp.broadcast_shapes(index.shape, x.shape[:-1])
@@ -348,7 +366,7 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
     finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. An optimizer that may
     leave the domain should pass ``outside="clamp"``, so that a descent step leads back. Outside of ``jit``, NumPy
-    answers up to 4,096 points, without compiling, except with ``jax_enable_x64``; bits are those of compiled code.
+    answers up to 4,096 points without compiling, bit for bit as compiled code does, unless ``jax_enable_x64`` is set.
 
     ``jax.export`` (with the package ``flatbuffers``) turns a query into a program of a few hundred kilobytes that
     runs without this package, for batches of any size. A program that takes the PLR as an argument needs this

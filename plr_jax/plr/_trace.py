@@ -83,7 +83,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         plr: PLR with ``leaf="cone"``.
         starts: Start points, ``(n, dim)``.
         workspace: Free space in which each segment is tested by itself, up to the rounding of the file (6e-8 of the
-            domain's width): a path that bends where two walls touch may pass between them. None: no tests.
+            domain's width). So a path that bends where two walls touch may pass between these walls. None: no tests.
 
     Raises:
         ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is no Workspace, or a

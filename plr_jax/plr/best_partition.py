@@ -1,9 +1,10 @@
-"""Find the tree of halved boxes that minimizes error plus a price per leaf, for leaves that are cones.
+"""Find the partition into cone leaves with the least error whose file is within limits, such as a number of bytes.
 
-Dynamic programming works upward from the smallest boxes. The price, the Lagrange multiplier of the limits of a file,
-is lowered, and more boxes are computed, until the best tree exceeds the limits. Then interpolation approaches the
-lowest price at which the tree is within the limits. Reference: Donoho, "CART and best-ortho-basis: a connection",
-Annals of Statistics 1997.
+A partition is a tree of boxes: a box is halved or is a leaf. A leaf costs its error plus a price. For a given price,
+dynamic programming finds the tree of least cost, from the smallest boxes up to the domain. The search lowers the
+price (the Lagrange multiplier of the limits), and computes more boxes, until the best tree exceeds the limits. Then
+it finds, by interpolation, the lowest price at which the tree is within the limits. Reference: Donoho, "CART and
+best-ortho-basis: a connection", Annals of Statistics 1997.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,10 @@ UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes found so far that result from the domain by a given number of halvings."""
+    """The boxes computed so far on one level, that is, after a certain number of halvings of the domain.
+
+    ``child[axis, half, i]`` is the index, in the next level, of the lower (0) or upper (1) half of box ``i``.
+    """
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, " boxes"]  # hash of each box
@@ -51,7 +55,10 @@ class BoxLevel:
         return self.boxes.integral + weight * self.boxes.peak
 
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
-        """Return whether each box may be halved along each axis, but has not been halved yet."""
+        """Return, for each axis and box, whether the box may be halved along the axis but has not been so far.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -65,7 +72,10 @@ class BoxLevel:
 
 
 class TreeCosts(NamedTuple):
-    """The least cost of the trees into which each box may be split: the leaves' errors and a price per leaf."""
+    """For each box of a level, the least cost of a tree that has the box as its root.
+
+    The cost of a tree is the sum of the costs of its leaves (:meth:`BoxLevel.costs`) plus a price per leaf.
+    """
 
     best: Float[np.ndarray, " boxes"]  # of each box's best tree of computed boxes, possibly the box alone
     least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
@@ -88,7 +98,11 @@ class TreeCosts(NamedTuple):
 
 
 def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
-    """Return a cost that no tree below boxes of cost ``peak`` (weighted) is expected to undercut."""
+    """Return, for each box, the least cost that is expected of a tree that halves the box.
+
+    ``peak`` is each box's largest error, times the weight of this error in the cost of a leaf. ``price`` is added for
+    each leaf.
+    """
     # The integral of the error may vanish, and m >= 1 more leaves divide the peak by D**m at best, with D =
     # _MOST_DROP. So trees cost at least the least (1 + m) price + peak D**-m. Leaf m + 1 is worth its price if
     #   peak D**-m (1 - 1/D) > price,
@@ -101,7 +115,8 @@ def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.
 def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) -> None:
     """Halve all boxes that the tree of least cost might split, and add the halves to ``levels``.
 
-    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``weight`` times its largest error.
+    The cost of a tree is the sum over its leaves of: ``price``, the integral of the leaf's error, and ``weight``
+    times the leaf's largest error.
     """
     # Branch and bound, first up and then down the levels. A box b, with `best` and `least` of `TreeCosts`, is halved
     # along all its open axes if
@@ -141,9 +156,9 @@ Halves: TypeAlias = Int[np.ndarray, " halves"]
 
 
 def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
-    """Halve boxes ``parent`` of a level along ``axis``: add their halves to the next level, unless it has them.
+    """Halve boxes ``parent`` of level ``depth`` along ``axis``; add the halves to the next level if it lacks them.
 
-    Both arrays have two equal entries for each halving, one for the lower half and one for the upper half.
+    ``parent`` and ``axis`` have two equal entries for each halving: one for the lower half, one for the upper half.
     """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
@@ -185,7 +200,7 @@ Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The tree with the least sum of its leaves' errors and a ``price`` per leaf, stored level by level."""
+    """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
 
     leaves: Leaves  # as indices into the levels' boxes
     axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
@@ -199,23 +214,26 @@ class PricedTree:
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of a leaf's peak in its cost, for trees of about ``num_leaves`` leaves."""
+    """Return the weight of a leaf's largest error in the leaf's cost; the integral of the error has the weight 1.
+
+    The weight depends on the expected number of leaves of the tree, and on whether errors are proven.
+    """
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
-    """The boxes of a level that a tree at the current or a lower price may contain."""
+    """The boxes of a level that may be in the best tree at the current price per leaf, or at a higher price."""
 
-    box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
-    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
+    box: Int[np.ndarray, " own"]  # indices of the selected boxes in the level
+    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level, or UNKNOWN
 
 
 class PriceSearch:
     """A search for the tree of least error whose file is within limits, such as a number of bytes.
 
     It finds trees of least error plus a price per leaf, and lowers the price. ``levels`` has the known boxes, first
-    the root; ``size(tree)`` returns the bytes of a file. ``num_sources``, the number of possible apexes of cones,
-    only affects the first price.
+    the root; ``size(tree)`` returns the bytes of the tree's file. ``num_sources``, the number of possible apexes of
+    cones, only affects the first price.
     """
 
     def __init__(
@@ -234,7 +252,10 @@ class PriceSearch:
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
     def next(self, now: PricedTree) -> PricedTree | None:
-        """Search on, mostly at a lower price per leaf; return the next tree, or None if ``now`` is the last one."""
+        """Return the best tree at a lower price per leaf than the tree ``now``; None if ``now`` ends the search.
+
+        If the tree at the lower price exceeds the limits, return the largest tree found that is within the limits.
+        """
         if now.is_final:
             return None
         price, weight = self._next_price(now)
@@ -250,14 +271,17 @@ class PriceSearch:
         return sum(len(level.key) for level in self.levels)
 
     def _is_finest(self, tree: PricedTree, weight: float) -> bool:
-        """Return whether no leaf of positive cost may be halved."""
+        """Return whether no leaf of positive cost may still be halved, so that more boxes cannot improve the tree.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         for level, boxes in zip(self.levels, tree.leaves, strict=False):
             if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
                 return False
         return True
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return a lower price, for a larger tree, and the weight of a leaf's largest error in its cost."""
+        """Return a lower price, for a larger tree, and the weight of a leaf's largest error in the leaf's cost."""
         # 1. Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -278,16 +302,23 @@ class PriceSearch:
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:
-        """Return the best tree with the size of its file, if bytes are limited."""
+        """Return the best tree at a price per leaf; compute the size of its file only if bytes are limited.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
-        """Return the share of the limits that a tree takes, more than 1 if it exceeds them."""
+        """Return the share of the limits that a tree uses, more than 1 if the tree exceeds a limit."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
-        """Return the largest tree found that is within the limits, from tree ``fits`` on; ``beyond`` exceeds them."""
+        """Try prices between the prices of two trees, and return the largest tree found that is within the limits.
+
+        The tree ``fits`` is within the limits. The tree ``beyond``, at a lower price, exceeds the limits. ``weight``
+        multiplies the largest error of a leaf in the leaf's cost.
+        """
         # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
         # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
         largest = fits
@@ -306,7 +337,10 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, weight: float) -> None:
-        """Store the boxes that the best tree at this or a higher price may contain."""
+        """Store in ``_selected`` the boxes that the best tree at ``price`` or a higher price may contain.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
         # the root along all other halvings.
         nodes, selected = np.zeros(1, np.int64), []
@@ -324,7 +358,10 @@ class PriceSearch:
         self._selected = selected
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
-        """Return the tree of selected boxes with the least sum of leaves' costs and prices."""
+        """Return the tree of selected boxes that minimizes the sum, over its leaves, of cost plus ``price``.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.

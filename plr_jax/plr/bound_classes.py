@@ -18,11 +18,11 @@ _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of th
 def classify_bounds(
     codes: Codes, bound_of_code: Float[np.ndarray, " codes"], volume: Float[np.ndarray, " leaves"], max_bits: int
 ) -> Codes:
-    """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
+    """Group leaves into classes that share error bounds, so that the bounds take at most ``max_bits`` bits in a file.
 
-    ``codes`` encodes each leaf's own lower and upper bound; ``bound_of_code[i]`` is the bound that code ``i`` means.
-    ``volume`` has the leaves' volumes, the weights of the widths of their bounds. Return the codes of each leaf's
-    shared bounds.
+    ``codes`` has codes of each leaf's own lower (row 0) and upper (row 1) bound; code ``i`` means the absolute value
+    ``bound_of_code[i]``. Return the codes of the shared bounds, in the same shape. The sum over the leaves of
+    ``volume`` times the width of the shared bounds is kept small.
     """
     # A leaf's rank is the rank of the larger of its two codes. A class has all leaves of consecutive ranks. Dynamic
     # programming finds the classes of least sum of weighted widths plus a price per bit; bisection finds the lowest
@@ -74,9 +74,11 @@ def classify_bounds(
 def requantize_bounds(
     codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
+    """Widen each leaf's bounds to the narrowest pair of bounds in ``classes`` that contains the leaf's bounds.
 
-    Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the result takes too many bits.
+    Each column of ``classes`` has the codes of a pair. ``codes`` and ``bound_of_code`` are as for
+    :func:`classify_bounds`. Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the
+    result takes more than ``max_bits`` bits in a file.
     """
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)  # (classes, leaves)
@@ -85,13 +87,13 @@ def requantize_bounds(
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
-    """Return whether shared bounds take at most ``max_bits`` bits in a file."""
+    """Return whether the bounds with the codes ``codes`` take at most ``max_bits`` bits in a file."""
     can_count = distinct_classes(codes).shape[1] <= 1 << _COUNT_BITS
     return can_count and write_classes(BitWriter(), codes).num_bits <= max_bits
 
 
 def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
-    """Write each leaf's pair of error bounds: first all distinct pairs, then the index of each leaf's pair."""
+    """Write the column of ``codes`` of each leaf: first all distinct columns, then which leaf has which column."""
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
     classes = np.stack(np.divmod(key, 1 << CODE_BITS))
     order = np.argsort(-size, kind="stable")  # the largest class first, so that later sets are small
@@ -104,7 +106,7 @@ def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
 
 
 def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
-    """Return the distinct columns of ``codes``, sorted by lower, then by upper code."""
+    """Return the distinct columns of ``codes``, sorted by lower (row 0), then by upper code (row 1)."""
     return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
@@ -114,10 +116,10 @@ def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """Decode the pair of codes (lower, upper) of each leaf.
+    """Decode the pair of codes (row 0: lower, row 1: upper error bound) of each leaf.
 
-    The file lists all distinct pairs (classes), then, for each class in turn, which of the remaining leaves belong to
-    a later class.
+    The file lists all distinct pairs (classes). Then, for each class in turn, it states which of the remaining leaves
+    belong to a later class.
     """
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, CODE_BITS).reshape(2, count)

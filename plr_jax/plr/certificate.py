@@ -24,19 +24,23 @@ from plr_jax.plr.frame import LARGEST
 
 Bounds: TypeAlias = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 ConeBoundsFn: TypeAlias = Callable[..., Bounds]
-"""Function of pieces, apexes, offsets, rows: bounds of ``offset + |x - apex|`` minus the leaf function of a row."""
+"""Function ``(pieces, apex, offset, row)`` that bounds cones ``offset + |x - apex|`` minus leaf functions.
+
+It returns the lower and upper bounds over each piece. ``row`` has the index of each piece's leaf function.
+"""
 
 
 def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_above: ConeBoundsFn) -> Bounds:
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
     ``visible`` has the *sources* of each piece: corners (or the goal) to which shortest paths from the piece go
-    first; every piece has at least one. A source's cone is its distance to the goal plus ``|x - source|``. The
-    distance is at least the least cone, and at most the cone of any source that the whole piece sees. If there is no
-    such source, the distance at ``x`` is at most the distance at the piece's center plus the straight line from ``x``
-    to the center.
+    first; every piece has at least one. The cone of a source is its distance to the goal plus ``|x - source|``. The
+    distance at ``x`` is at least the minimum of all cones. It is at most the cone of any source that the whole piece
+    sees. If there is no such source, it is at most the distance at the piece's center plus the straight line to the
+    center.
 
-    Row ``i`` of the result is for ``piece[i]``. ``cones_above`` gets these rows, to find the pieces' leaves.
+    Entry ``i`` of the results is for piece ``piece[i]``. ``cones_above`` gets the indices ``i``, which tell it the
+    leaf function of each piece.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -59,7 +63,10 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """The functions of leaves, which are the boxes from ``lo`` to ``hi``."""
+    """The functions of several leaves; leaf ``i`` is the box from ``lo[i]`` to ``hi[i]``.
+
+    ``coefficients`` are those of the leaf model ``model``.
+    """
 
     model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
@@ -67,11 +74,14 @@ class LeafFunctions:
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def values(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Return the function of leaf ``leaf[i]`` at point ``x[i]``."""
+        """Return the value of the function of leaf ``leaf[i]`` at point ``x[i]``."""
         return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
 
     def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, " n"]) -> Bounds:
-        """Return bounds of (distance - leaf function) over each piece; ``leaf`` has the leaf of each piece."""
+        """Return lower and upper bounds of (distance - leaf function) over each piece of free space in ``visible``.
+
+        ``leaf`` has the index of the leaf that contains each piece.
+        """
 
         def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
@@ -81,7 +91,11 @@ class LeafFunctions:
         return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, " leaves"]:
-        """Return an upper bound of ``|distance - leaf function|`` in each leaf, to within ``visible.slack``."""
+        """Return an upper bound of ``|distance - leaf function|`` in each leaf, which is a cell of ``visible``.
+
+        The error may exceed the bound by ``visible.slack``. The bound is 0 in a leaf without points that reach the
+        goal.
+        """
         lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
@@ -95,10 +109,10 @@ Errors: TypeAlias = Float[np.ndarray, " leaves"]
 SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
 """Function ``sufficient(least, most, recompute)``: returns lower and upper bounds of errors that are tight enough.
 
-``least`` and ``most`` are the smallest and the largest error met at points of each leaf, so ``least <= 0 <= most``.
-If ``recompute`` is False, the function may return about the same bounds as in the call before.
+``least`` is the smallest error found at points of each leaf, or 0 if that is smaller; ``most`` is the largest error,
+or 0 if that is larger. If ``recompute`` is False, the function may return about the same bounds as in the call
+before.
 """
-"""8-bit logarithms of each leaf's lower and upper bound, as in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +126,8 @@ class LeafBounds:
 def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of the leaves' free space are halved until their bounds are as tight as ``sufficient`` demands. The
-    bounds include ``visible.slack``, the uncertainty of distances.
+    ``visible`` has convex pieces of the leaves' free space. Pieces are halved until their bounds are as tight as
+    ``sufficient`` demands. The bounds include ``visible.slack``, the uncertainty of distances.
     """
     # Each leaf has an interval [least, most] of *attained* errors (distance - function), and each piece an interval
     # [below, above] that encloses its errors. Branch and bound closes the gap between both:
@@ -175,8 +189,8 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             is_open = open_pieces(True)
         if not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
             break
-        # 5. Halve the open pieces. The others count at once if attained errors enclose their bounds, so that they can
-        #    never be open; else they are put aside.
+        # 5. Halve the open pieces. A piece that is not open counts at once if attained errors enclose its bounds, so
+        #    that it can never be open; else it is put aside.
         rounds[np.unique(leaf[is_open])] += 1
         is_final = (below >= least[leaf] - slack) & (above <= most[leaf] + slack)
         np.minimum.at(lower, leaf[is_final], below[is_final])
@@ -193,7 +207,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Cut the given pieces across the longest axis of their bounding boxes, in the middle.
+    """Cut each of the pieces with the indices ``piece`` in the middle of its bounding box, across the longest axis.
 
     In the result, the lower and the upper half of ``piece[i]`` are cells ``2 * i`` and ``2 * i + 1``.
     """
@@ -225,7 +239,7 @@ class Proof(IntEnum):
     OPEN_LEAVES = 3  # bounds of each leaf, where a leaf with the largest upper code has no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""
+        """Return the most bits of a proof in a file with ``num_leaves`` leaves, which take ``num_bytes`` bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * CODE_BITS * num_leaves
         # The caller adds the bits of a ``StraightBound``.
         return (0, _MAX_ERROR_BITS + _bits_of_classes(num_bytes), of_leaves, of_leaves)[self]
@@ -247,10 +261,10 @@ def _bits_of_classes(num_bytes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class StraightBound:
-    """A lower bound of the distance: the least cost of straight motions to goals, less a margin.
+    """A lower bound of the distance: the cost of the cheapest straight motion to a goal, minus a margin, at least 0.
 
-    A motion by ``d`` costs the sum, over groups of axes, of ``rate * |d[axes of the group]|``. It goes the short way
-    along periodic axes.
+    A motion by the vector ``d`` costs the sum, over groups of axes, of ``rate * |d[axes of the group]|``. Along
+    periodic axes, motions go the short way around.
     """
 
     goals: Float[np.ndarray, "goals dim"]  # relative to the domain's lower corner
@@ -265,7 +279,11 @@ class StraightBound:
 
     @property
     def numbers(self) -> Float[np.ndarray, " _"]:
-        """The numbers in a file; a negative first one is minus the number of goals, then come the axes' groups."""
+        """The numbers that a file stores: coordinates of the goals, rates of the groups, and the margin.
+
+        Unless ``is_simple``, other numbers come first: the number of goals, negated, and the index of each axis's
+        group.
+        """
         header = [] if self.is_simple else [-len(self.goals), *self.groups.argmax(axis=0)]
         return np.concatenate([header, self.goals.ravel(), self.rates, [self.margin]])
 
@@ -275,7 +293,10 @@ class StraightBound:
 
     @staticmethod
     def read(body: BitReader, dim: int) -> "StraightBound":
-        """Decode :attr:`numbers`; ``ValueError`` if they are no such bound."""
+        """Decode a lower bound from its :attr:`numbers` in a file of a ``dim``-dimensional domain.
+
+        ``ValueError`` if the numbers are invalid.
+        """
         # 1. The header, if any: number of goals, and group of each axis.
         first, num, group = body.read_floats(1), 1, np.zeros(dim)
         is_simple = not first[0] < 0  # else it is the number of goals, and no coordinate
@@ -311,9 +332,9 @@ class Certificate:
     ) -> "Certificate":
         """Encode bounds of each leaf's error, widened by ``rounding``, the error of 32-bit queries in the leaf.
 
-        For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by errors and the ``volume`` of
-        each leaf, and take 1/128 of ``num_bytes``, the size of all leaves in a file. Shared bounds of an earlier
-        certificate ``before`` are used again if they suffice.
+        For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by the errors and by the
+        ``volume`` of each leaf. Their bounds take at most 1/128 of ``num_bytes``, the size of all leaves in a file.
+        If the shared bounds of an earlier certificate ``before`` suffice, they are used again.
         """
         # 1. Lengths of the intervals below and above the leaf's function, and a scale that is at least all of them.
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
@@ -344,7 +365,10 @@ class Certificate:
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """Return bounds (lower, upper row) of (distance - PLR's value), a column for each leaf or one for all."""
+        """Return lower (row 0) and upper (row 1) bounds of (distance - PLR's value).
+
+        There is a column for each leaf, or a single column for all leaves.
+        """
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)
@@ -354,15 +378,16 @@ class Certificate:
 
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
-        """Bounds (lower, upper row) of the distinct classes, the narrowest first."""
+        """Distinct pairs of a lower (row 0) and an upper (row 1) bound that leaves share, narrowest first."""
         bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds of errors such that tighter ones would hardly change the file, given attained errors.
+        """Return lower and upper bounds of each leaf's error such that tighter bounds would hardly change the file.
 
-        ``least`` and ``most`` are errors that the leaves attain, so bounds cannot be tighter. ``rounding`` is as for
-        :meth:`of`, by which bounds are widened before they are encoded.
+        ``least`` and ``most`` are the smallest and the largest error attained in each leaf, so no bounds can be
+        tighter than these. ``rounding`` is the error of 32-bit queries, by which :meth:`of` widens bounds before it
+        encodes them.
         """
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
@@ -380,7 +405,10 @@ class Certificate:
 
 
 def write_proof(body: BitWriter, certificate: Certificate | None, straight: StraightBound | None) -> Proof:
-    """Encode error bounds and a straight-line bound, and return the kind of proof that the file's header names."""
+    """Append the error bounds and the straight-line bound to a file's body; return the kind of proof, for the header.
+
+    Each of the two may be None: then the file has no such bounds.
+    """
     if certificate is None:
         if straight is None:
             return Proof.NONE
@@ -403,7 +431,10 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
 def read_proof(
     body: BitReader, proof: Proof, num_leaves: int, dim: int
 ) -> tuple[Certificate | None, StraightBound | None]:
-    """Decode error bounds and a straight-line bound, the inverse of :func:`write_proof`."""
+    """Decode the error bounds and the straight-line bound of a file of ``num_leaves`` leaves in ``dim`` dimensions.
+
+    This is the inverse of :func:`write_proof`. Bounds that the file lacks are None.
+    """
     if proof is Proof.NONE:
         return None, None
     scale = float(body.read_floats(1)[0])

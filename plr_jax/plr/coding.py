@@ -24,7 +24,7 @@ def varint(value: int) -> bytes:
 
 
 def signed_varint(value: int) -> bytes:
-    """Encode a signed integer ``v`` as the varint of ``2 * v``, or of ``-2 * v - 1`` if it is negative."""
+    """Encode a signed integer ``v`` as the varint of ``2 * v``, or of ``-2 * v - 1`` if ``v`` is negative."""
     return varint(2 * abs(value) - (value < 0))
 
 
@@ -45,7 +45,10 @@ class ByteReader:
         return self.take(1)[0]
 
     def varint(self) -> int:
-        """Read an integer in bytes of seven bits, lowest first; the eighth bit says that another byte follows."""
+        """Read an integer >= 0 in LEB128: 7 bits in each byte, the lowest bits first.
+
+        The highest bit of a byte is 1 if another byte follows. ``ValueError`` if there are more than 10 bytes.
+        """
         value = 0
         for place in range(_MOST_BYTES):
             byte = self.byte()
@@ -81,16 +84,16 @@ class BitWriter:
         return self.write(bits_of_floats(values), 32)
 
     def write_set(self, member: Bool[np.ndarray, " n"]) -> "BitWriter":
-        """Append the members of a subset of ``range(n)``: their number, then the gaps between them."""
+        """Append a subset of ``range(n)``: its size, then the gaps between its members as Exp-Golomb codes."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
     def write_coded(self, values: Int[np.ndarray, " n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        First comes an order ``k`` that all values share, in 5 bits. A value ``v`` then has ``k + e`` bits, those of
-        ``v + 2**k`` below its leading one. First the counts ``e`` of extra bits are written in unary (``e`` zeros and
-        a one), then the bits of all values.
+        All values share an order ``k``, which comes first, in 5 bits. For a value ``v``, the leading one of
+        ``v + 2**k`` is bit ``k + e``, with ``e >= 0``. The counts ``e`` of all values follow in unary (``e`` zeros
+        and a one), then, for all values, the ``k + e`` bits of ``v + 2**k`` below the leading one.
         """
         if not len(values):
             return self
@@ -116,7 +119,7 @@ class BitWriter:
 
 
 def _bits_of(values: Int[np.ndarray, " n"], widths: Int[np.ndarray, " n"] | int) -> UInt8[np.ndarray, " bits"]:
-    """Return the bits of integers one after the other, each lowest bit first, in ``widths`` bits each."""
+    """Return the bits of integers one after the other; integer ``i`` has ``widths[i]`` bits, the lowest bit first."""
     if isinstance(widths, int):
         bits = (values[:, None] >> np.arange(widths)) & 1
     else:
@@ -154,13 +157,13 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, " n"]:
-        """Read a subset of ``range(size)``: whether each number is a member."""
+        """Read a subset of ``range(size)``, and return whether each number is a member."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, " members"]:
-        """Read a subset of ``range(size)`` as a sorted array of its members, in memory independent of ``size``."""
+        """Read a subset of ``range(size)`` as a sorted array of its members; memory does not depend on ``size``."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
@@ -213,14 +216,20 @@ def _extra_bits(values: Int[np.ndarray, " n"], order: int) -> Int[np.ndarray, " 
 
 
 def bits_of_set(num_members: int, size: int) -> int:
-    """Return the most bits that a set with ``num_members`` members of ``range(size)`` takes, 0 for an empty one."""
+    """Return the most bits that a subset of ``range(size)`` with ``num_members`` members takes in a file.
+
+    The number is 0 for an empty set, which is not written.
+    """
     # A gap ``g`` takes at most ``2 log2(g + 1) + 1`` bits, a concave function, so equal gaps take the most.
     of_gaps = num_members * (1 + 2 * np.log2(max(size, 1) / max(num_members, 1)))
     return _COUNT_BITS + _ORDER_BITS + int(np.ceil(of_gaps)) if num_members else 0
 
 
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Return the bytes that a binary tree and ``num_bits`` bits of leaf data and proof take in a file."""
+    """Return the number of bytes in a file of a tree with ``num_leaves`` leaves and ``num_bits`` bits of data.
+
+    The bytes hold the splits of the tree, then the data.
+    """
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 

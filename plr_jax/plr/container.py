@@ -18,7 +18,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import ByteReader, signed_varint, varint
 from plr_jax.plr.folding import Folding
 
-VERSION = 5  # of files without the parts below; release 0.2 asks for an update of other versions
+VERSION = 5  # version of files without the parts below; release 0.2 reads no other version
 _NAMING_GOALS = 1  # added to the version if a file names goals
 _WITH_CUT_OFF = 2  # added to the version if a file names leaves that answer ``inf``
 PAIRS_CODE = 7  # in place of a leaf model's code, in files of distances between pairs of points
@@ -45,16 +45,16 @@ _SIZE_BYTES = 4
 
 @dataclass(frozen=True)
 class Layer:
-    """The encoded leaves of a file, with codes of their leaf model and their kind of proof."""
+    """A layer of a file: encoded leaves and their proof, with the codes of the leaf model and the proof's kind."""
 
     leaf_code: int
-    body: bytes  # encoded leaves
+    body: bytes  # encoded tree, leaves and proof
     proof_code: int = 0
 
 
 @dataclass(frozen=True)
 class Header:
-    """The header of a file: the domain, and what the layers hold."""
+    """The header of a file: the domain, and the kinds of data in the file's layers."""
 
     domain: Box
     leaf_code: int  # of the last layer
@@ -89,12 +89,15 @@ class Header:
 
     @property
     def marks(self) -> tuple[int, ...]:
-        """The byte at which each layer but the last ends."""
+        """The position in the file, in bytes, at which each layer but the last ends."""
         return tuple(accumulate(self.sizes, initial=len(self.data)))[1:]
 
     @staticmethod
     def read(data: bytes) -> "Header":
-        """Decode the header of a file; ``ValueError`` if it is invalid, or not encoded as ``data`` does it."""
+        """Decode the header at the beginning of a file's bytes.
+
+        ``ValueError`` if it is invalid, or encoded in another way than :attr:`data` encodes it.
+        """
         # 1. Magic bytes, version and number of axes.
         if data.startswith(_EARLIER):
             raise ValueError(f"it must have format version {VERSION}, but has an earlier one; build it again")
@@ -158,7 +161,7 @@ class Container:
         return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
-        """Encode the file: the header, then each layer with a checksum of the header and all layers so far."""
+        """Encode the file: the header, then each layer with a checksum of the header and of all layers so far."""
         *first, last = self.layers
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
@@ -173,7 +176,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file; ``ValueError`` if it is invalid. Of several layers, the last ones may be missing."""
+        """Decode a file; ``ValueError`` if it is invalid. A file with several layers may lack the last ones."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
@@ -195,17 +198,20 @@ class Container:
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
-    """Return the bytes of header and checksum in a PLR file, which has leaves and proof between them."""
+    """Return the size in bytes of a PLR file without its leaves and proof: the header and the checksum."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
 
 
 def holds_pairs(data: bytes) -> bool:
-    """Return whether a file has distances between any two points, not a PLR; ``ValueError`` if it has neither."""
+    """Return True if a file stores distances between any two points, False if it stores a PLR.
+
+    ``ValueError`` if ``data``, the bytes of the file, are neither.
+    """
     return data.startswith(GRID_MAGIC) or Header.read(data).leaf_code == PAIRS_CODE
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """Read at most ``MOST_BYTES + 1`` bytes of a file, and only its start if it does not start like a PLR file."""
+    """Read at most ``MOST_BYTES + 1`` bytes of a file, or at most 4,096 if it is no file of a PLR or of pairs."""
     with open(path, "rb") as file:
         data = file.read(_START)
         if data.startswith((MAGIC, GRID_MAGIC)):  # another file may be endless, such as a device
@@ -221,7 +227,7 @@ def folding_to_bytes(folding: Folding) -> bytes:
 
 
 def read_folding(reader: ByteReader, domain: Box) -> Folding:
-    """Decode mirror symmetries; ``ValueError`` if one is invalid or does not cut the domain."""
+    """Decode the mirror symmetries of a domain; ``ValueError`` if a mirror is invalid or does not cut the domain."""
     # 1. Read the center, the axes if they are rotated, and a row of ``marks`` for each mirror: 1 where it reverses an
     #    axis. Release 0.1 marked straight lines in one more row.
     dim = domain.dim
@@ -257,7 +263,10 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
 
 
 def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
-    """Decode the corners of a domain, floats or decimal numbers; on a periodic axis, the upper end comes first."""
+    """Decode a domain whose coordinates are stored as floats or as decimal numbers.
+
+    The file has the lower corner, then the upper corner. On a periodic axis, the upper end comes first.
+    """
     if is_floats:
         numbers = np.frombuffer(reader.take(16 * dim), "<f8").astype(np.float64)
     else:
@@ -274,7 +283,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 
 
 def _decimals(numbers: list[float]) -> bytes | None:
-    """Encode numbers as integers divided by one power of ten; None unless that is exact."""
+    """Encode numbers as integers divided by one power of ten; None if this is inexact or integers are too large."""
     shortest = [Decimal(repr(number)) for number in numbers]
     decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
@@ -293,7 +302,11 @@ _REPLACED = (
 
 
 class FileBacked:
-    """A base class of objects that keep the bytes of their file: PLRs, and distances between any two points."""
+    """A base class of objects that keep the bytes of their file: PLRs, and distances between any two points.
+
+    Such an object is a pytree of arrays. JAX may make a new object from other arrays (``jax.tree.map``). The file of
+    the new object then does not belong to its arrays.
+    """
 
     tables: Any
     file: Any
@@ -311,7 +324,10 @@ class FileBacked:
 
     @property
     def file_bytes(self) -> bytes:
-        """The bytes of the file, also if the arrays were replaced."""
+        """The bytes of the file, without a check that the object's arrays still belong to it.
+
+        ``ValueError`` if the arrays of several objects are stacked, or the array ``file`` itself was replaced.
+        """
         if np.ndim(self.file) != 1:
             raise ValueError(f"One object is needed, but its arrays are stacked: file has shape {self.file.shape}.")
         data = np.asarray(self.file).tobytes()[: self.num_bytes]
@@ -325,7 +341,10 @@ class FileBacked:
 
     @cached_property
     def has_arrays_of_file(self) -> bool:
-        """Whether the arrays that a query reads are those that the file decodes to; at first use, decode it."""
+        """Whether the arrays that a query reads equal the arrays that the file decodes to.
+
+        If JAX made the object from arrays, the first use of this property decodes the file.
+        """
         if not self.is_from_arrays:
             return True
         import jax  # only needed here
@@ -357,7 +376,7 @@ class FileBacked:
 
     @property
     def table_class(self) -> int:
-        """Size of the file without its label in bytes, on which the sizes of lookup tables depend."""
+        """Size of the file in bytes, without its label; the sizes of lookup tables depend on this size."""
         header = Header.read(self.file_bytes)
         return self.num_bytes - len(header.data) + len(replace(header, label="").data)
 
@@ -392,7 +411,7 @@ class FileBacked:
 
 
 def padded_file(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """Return a file's bytes as an array padded with zeros to a power of two; the last 4 bytes are the file's size."""
+    """Return a file's bytes as an array, padded with zeros to a power of two; the last 4 bytes have its size."""
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
     file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
     return file

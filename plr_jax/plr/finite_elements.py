@@ -1,9 +1,10 @@
 """The function spaces of continuous and smooth leaves: finite elements on the leaves of a partition.
 
-In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1).
-Leaves that share a free face are *tied*: they must agree on it. Every corner of every leaf is a *node*. Nodes of tied
-leaves at one point form a *group* with one value. A corner inside the face of a tied leaf *hangs* on that leaf: its
-value is interpolated there, from corners on coarser dyadic levels, so these dependencies have no cycles::
+In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1). Two
+leaves are *tied* if paths can cross their common face: their functions must agree on the face. Every corner of every
+leaf is a *node*. Nodes of tied leaves at one point form a *group* with one value. A corner inside the face of a tied
+leaf *hangs* on that leaf: its value is interpolated from the leaf's corners. These lie on coarser dyadic levels, so a
+value never depends on itself::
 
     o-----------o-----o     Three tied leaves, with 12 corners: the nodes.
     |           |  b  |     Each o is a group of 1 or 2 nodes.
@@ -44,7 +45,11 @@ _GROWTH = 4  # the elimination of constraints may use this many times more weigh
 
 @dataclass(frozen=True, eq=False)
 class NodalSpace:
-    """A basis of the functions on leaves that are continuous across *tied* faces, but may jump at others."""
+    """The functions on the leaves of a tree that are continuous across certain (*tied*) faces between leaves.
+
+    Functions may jump at other faces. The values at certain groups of nodes, the degrees of freedom, determine a
+    function: see the module's docstring.
+    """
 
     tree: Tree
     group: Int[np.ndarray, " nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
@@ -64,7 +69,8 @@ class NodalSpace:
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " leaves"]) -> NodalSpace:
     """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
 
-    Leaves from which the goal cannot be reached have no values. ``ValueError`` if there are too many constraints.
+    Leaves marked ``unreachable``, from which the goal cannot be reached, have no values. ``ValueError`` if there are
+    too many constraints.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
@@ -184,22 +190,27 @@ _BASIS_1D = (
 
 
 def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
-    """Return the values of a leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis.
+    """Return the values of a leaf's basis functions (columns) at points ``t`` of its cell (rows).
 
-    ``order`` is 0 for multilinear and 1 for cubic functions.
+    Points have coordinates from 0 to 1 across the cell. ``order`` is 0 for multilinear and 1 for cubic functions.
     """
     return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to the coefficients of all leaves' basis functions."""
+    """Return the matrix that maps the degrees of freedom of a function to the coefficients of all leaves.
+
+    The degrees of freedom are the values that determine the function. The coefficients of a leaf belong to the basis
+    functions of :func:`design`. Rows of the matrix are sorted by leaf.
+    """
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
 def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
-    """Return the coefficients of planes: ``center`` is the value in the middle of a leaf.
+    """Return the coefficients of planes in the basis of :func:`design`, one plane in each row.
 
-    Along each axis, ``half`` is the change from there to the upper face.
+    ``center[i]`` is the value of plane ``i`` in the middle of a leaf, ``half[i]`` its change from the middle to the
+    upper face along each axis.
     """
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
@@ -213,7 +224,10 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
-    """Return each basis function's coefficients of all products of powers of ``t``, last axis fastest."""
+    """Return each basis function as a polynomial of the coordinates ``t``: one row of coefficients per function.
+
+    Each column is for a product of powers ``t[0]**i * t[1]**j * ...``; the exponent of the last axis varies fastest.
+    """
     table = reduce(np.kron, [_BASIS_1D[order]] * dim)  # by corner, kind of derivative, and product of powers
     return table.reshape(-1, table.shape[2])
 
@@ -221,10 +235,11 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 def enclosing_planes(
     order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
 ) -> tuple[Distances, Points, Distances]:
-    """Return value and gradient of leaves' polynomials at centers of boxes, and a bound of all other Taylor terms.
+    """Expand each leaf's polynomial, of two coordinates, at the center of a box in the leaf.
 
-    ``center`` and ``reach`` (the half-widths of boxes) are in local coordinates, from 0 to 1 across the leaf.
-    ``order`` is 0 for multilinear and 1 for cubic functions.
+    Return the value and the gradient at the center, and an upper bound of the absolute sum of all other Taylor terms
+    in the box. ``center`` and ``reach`` (half of the box's width along each axis) are in local coordinates, from 0 to
+    1 across the leaf. ``order`` is 0 for multilinear and 1 for cubic functions.
     """
     # In the plane, f = sum of P[p, q] x**p y**q = sum of Q[a, b] (x - cx)**a (y - cy)**b over the exponents. Beside
     # Q[0, 0], Q[1, 0] and Q[0, 1], each term is at most |Q[a, b]| * reach_x**a * reach_y**b.
@@ -243,8 +258,8 @@ def enclosing_planes(
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
-    # Differentiate along all axes where ``derivative`` is 1. Basis functions are products of functions of one axis
-    # each: by axis, multiply the values so far, by corner and kind, with those of the axis.
+    # Differentiate along all axes where ``derivative`` is 1. A basis function is a product of functions of one axis
+    # each: axis by axis, multiply the values so far, by corner and kind, with the values of the axis's functions.
     _, kinds, num_powers = _BASIS_1D[order].shape
     n, powers = len(t), np.arange(num_powers)
     values = np.ones((n, 1, 1))

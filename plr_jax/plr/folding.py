@@ -1,4 +1,7 @@
-"""Use mirror symmetries of a distance function: a *folding* maps all points into one part of the domain."""
+"""Use mirror symmetries of a distance function: a *folding* maps all points into one part of the domain.
+
+A PLR of such a function then stores only this part.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -29,7 +32,10 @@ class Folding:
 
     @cached_property
     def pivots(self) -> tuple[int, ...]:
-        """A non-periodic axis for each mirror, reversed by no other; points on its negative side are mirrored."""
+        """The *pivot* of each mirror: a non-periodic axis that this mirror reverses and no other mirror does.
+
+        A mirror is applied to the points whose pivot coordinate is negative.
+        """
         alone = np.sum(self.mirrors, axis=0) == 1
         may_be = np.array(self.mirrors, bool).reshape(-1, self.domain.dim) & alone & ~np.array(self.domain.periodic)
         if not may_be.any(axis=1).all():
@@ -38,7 +44,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Box of all points of the domain after mirroring, which a PLR's leaves partition."""
+        """Box that contains all points of the domain after mirroring; a PLR's leaves partition it."""
         # A mirror's pivot becomes 0 or more. The other axes that the mirror reverses may get either sign, so their
         # range becomes symmetric.
         lo, hi = self._range_before_mirroring
@@ -52,7 +58,7 @@ class Folding:
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
-        """The mirrors whose plane has more than ``_CUT`` of the domain's width on both sides."""
+        """The mirrors with more than the fraction ``_CUT`` of the domain's width on each side."""
         lo, hi = self._range_before_mirroring
         least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)
@@ -74,7 +80,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, " n"]]]:
-        """Yield, for each subset of mirrors, the points that it maps to ``z``, and which lie in the domain."""
+        """For each subset of the mirrors, yield the points that it maps to ``z``, and which lie in the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
@@ -85,13 +91,13 @@ class Folding:
 
     @property
     def _reversals(self) -> Bool[np.ndarray, "subsets dim"]:
-        """Whether each subset of mirrors reverses each axis: it does if an odd number of its mirrors does."""
+        """Whether each subset of mirrors reverses each axis: whether an odd number of mirrors in the subset does."""
         num, dim = len(self.mirrors), self.domain.dim
         subsets = np.array(list(product((0, 1), repeat=num)), int).reshape(2**num, num)
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
 
     def unfold(self, z: Points) -> Points:
-        """Return points that the mirrors map to ``z``, each inside the domain if possible."""
+        """For each folded point ``z``, return a point that the folding maps to it, inside the domain if possible."""
         images = self.images(z)
         x, is_inside = next(images)
         while not is_inside.all() and (image := next(images, None)):  # most points need no further image
@@ -102,7 +108,11 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, " pieces"]]:
-        """Return the boxes of leaves and their mirror images: lower and upper corners, and the leaf's index."""
+        """Return the boxes of leaves with corners ``lo`` and ``hi``, and their mirror images, cut to the domain.
+
+        The results are lower corners, upper corners, and the index of each box's leaf. ``ValueError`` if the folding
+        rotates points.
+        """
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "

@@ -1,7 +1,8 @@
 """The layout that all readers of a PLR share: its domain in 32-bit floats, and the sizes of its lookup tables.
 
-Two grids locate a point's leaf. A *block* is a cell of the coarse grid, with ``2**block_bits`` cells along each axis.
-A *slot* is a cell of the finer grid in a block, and has one entry in a lookup table.
+Two grids locate a point's leaf. A *block* is a cell of a coarse grid with ``2**block_bits`` cells along each axis. In
+each block, a finer grid separates the leaves. A *slot* is a cell of a finer grid, and has one entry in a lookup
+table.
 """
 
 from enum import IntEnum
@@ -36,9 +37,10 @@ OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
 
 
 def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
-    """Return log2 of the size, by axis, of the grid that separates the leaves in each cell of a coarse grid.
+    """Return how often each *block* must be halved along each axis until each resulting cell lies in one leaf.
 
-    The coarse grid has ``2**block_bits`` cells along each axis; ``cells`` are the leaves.
+    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis. Row ``i`` of the result is for
+    the block with the row-major index ``i``. ``cells`` are the leaves.
     """
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
@@ -48,16 +50,17 @@ def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
 
 
 def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
-    """Return the number of overlapping pairs of a leaf and a cell of a grid of ``2**block_bits`` cells per axis."""
+    """Count the overlapping pairs of a leaf and a cell of a grid with ``2**block_bits`` cells along each axis."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
 def slots_in_blocks(cells: Cells, block_bits: PerAxis, shape: PerBlock) -> tuple[Pairs, Pairs, OfPairs, OfPairs]:
     """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
 
-    The results are the index of the leaf, the row-major index of the block, and the first cell and the number of
-    cells of the overlap along each axis of the finer grid in this block. The coarse grid has ``2**block_bits`` cells
-    along each axis, the finer grid in each block ``2**shape`` (:func:`block_shapes`).
+    The coarse grid has ``2**block_bits`` cells along each axis. The finer grid in block ``i`` has ``2**shape[i]``
+    cells along each axis (:func:`block_shapes`). For each pair, return the index of the leaf and the row-major index
+    of the block. Also return the overlap in the finer grid of this block: its first cell, and its number of cells
+    along each axis.
     """
     #   position of a leaf along an axis, in binary   | block | `below` bits |
     #   its first slot in the block                           | `below` bits | zeros |      `shape` bits
@@ -86,7 +89,10 @@ def leaves_in_blocks(cells: Cells, block_bits: PerAxis) -> tuple[Pairs, OfPairs]
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
-    """Enumerate integer points ``p`` of boxes ``first <= p < first + count``; return each one's box, and ``p``."""
+    """Enumerate the integer points ``p`` of all boxes ``first <= p < first + count``.
+
+    Return the index of each point's box, and each point.
+    """
     # Points of a box are numbered in row-major order; the digits of this number, the last axis lowest, are the
     # offsets.
     box, index = ragged_indices(count.prod(axis=1))
@@ -98,7 +104,10 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: PerAxis, most: int) -> PerAxis:
-    """Distribute ``most`` halvings over axes that need ``bits``; each goes to the axis that lacks the most."""
+    """Distribute up to ``most`` halvings over the axes; axis ``i`` needs ``bits[i]`` halvings.
+
+    Each halving goes to the axis that still needs the most. Return the number of halvings of each axis.
+    """
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -106,7 +115,10 @@ def spread_bits(bits: PerAxis, most: int) -> PerAxis:
 
 
 def row_major(slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | PerAxis) -> Int[np.ndarray, " n"]:
-    """Return row-major indices of slots in grids with ``2**bits`` cells along each axis."""
+    """Return the row-major index of each cell ``slots[i]`` in a grid with ``2**bits`` cells along each axis.
+
+    ``bits`` is ``(n, dim)``, or ``(dim,)`` if all grids are equal.
+    """
     index = np.zeros(len(slots), np.int64)
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
@@ -114,7 +126,7 @@ def row_major(slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | 
 
 
 def byte_class(num_bytes: int) -> int:
-    """Return the size class of a file: log2 of its bytes, rounded up, at least 8."""
+    """Return the size class of a file of ``num_bytes`` bytes: the logarithm to base 2, rounded up, at least 8."""
     return max(_MIN_CLASS, (num_bytes - 1).bit_length())
 
 
@@ -124,9 +136,10 @@ def rows_of_class(of_class: int, least_bytes: int | float) -> int:
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the least number of slots of a lookup table for a file with room for ``rows`` leaves.
+    """Return the logarithm to base 2 of the least size of a lookup table for a file with room for ``rows`` leaves.
 
-    Smaller tables are padded, so that most files with equally much room have tables of one shape.
+    The size is a number of entries. Smaller tables are padded to this size, so that files with equally much room
+    mostly have tables of one shape and share compiled code.
     """
     return next((bits for most, bits in _SLOT_BITS if rows <= most), _MAX_FLAT_BITS)
 
@@ -134,7 +147,8 @@ def slot_bits_of_rows(rows: int) -> int:
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
     """Return how often cells may be halved along one axis in a file of ``2**of_class`` bytes (None: any size).
 
-    Each leaf takes at least ``least_bytes`` bytes. ``is_deep`` allows more halvings in small files.
+    Each leaf takes at least ``least_bytes`` bytes. ``is_deep`` allows more halvings in small files in up to two
+    dimensions.
     """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
@@ -143,7 +157,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return how many entries the lookup tables of a file of this size may have, to limit memory while it loads."""
+    """Return the most entries of lookup tables for a file of ``num_bytes`` bytes, to limit memory during loading."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
@@ -172,8 +186,8 @@ def as_outside(outside: str) -> Outside:
 class Frame(IntEnum):
     """The rows of an array ``(7, dim)`` that describes a domain in 32-bit floats.
 
-    To locate a point ``x`` of the domain, a query computes ``(x - LO) * SCALE + START``, a float from 1 to below 2.
-    Its mantissa bits are the point's position, a binary fraction of the domain's width.
+    To locate a point ``x`` of the domain, a query computes ``(x - LO) * SCALE + START``, a float at least 1 and below
+    2. The mantissa bits of this float are the point's position, a binary fraction of the domain's width.
     """
 
     LO = 0  # lower corner, rounded outward
@@ -219,14 +233,14 @@ def _largest_coordinates(domain: Box) -> Corner:
 
 
 def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"]:
-    """Split 64-bit numbers into three 32-bit floats that add up to them."""
+    """Split each 64-bit coordinate into three 32-bit floats whose sum is the coordinate."""
     first = corners.astype(np.float32)
     second = (corners - first).astype(np.float32)
     return np.stack([first, second, (corners - first - second).astype(np.float32)], axis=1)
 
 
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
-    """Return the rows of :class:`Frame`."""
+    """Return the array ``(7, dim)`` that describes a domain to a query; :class:`Frame` explains its rows."""
     lo, hi = table_corners(domain)
     frame = np.empty((len(Frame), domain.dim), np.float32)
     frame[Frame.LO], frame[Frame.HI] = lo, hi
@@ -241,7 +255,10 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
-    """Return the origin of a far domain's tables, its lower corner; None for any other domain."""
+    """Return the domain's lower corner if the domain is far from the origin (:func:`is_far`); else None.
+
+    Lookup tables of far domains take points relative to this corner.
+    """
     return domain.lo if is_far(domain) else None
 
 
@@ -250,9 +267,9 @@ def folding_numbers(
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"], Float[np.ndarray, "dim dim"] | None, Mirrors]:
     """Return a folding's center, corners, axes and mirrors in 32-bit floats, for points relative to ``origin``.
 
-    The center is the sum of its two rows. The corners are the ends of the box of folded points: infinite along
-    periodic axes, else rounded inward. Axes are None if the folding does not rotate points. A mirror is a pair of a
-    *pivot* axis and all axes that it reverses; it mirrors the points whose coordinate along the pivot is negative.
+    The center is the sum of two rows of floats. The corners are the ends of the box of folded points: infinite along
+    periodic axes, else rounded inward. Axes are None if the folding does not rotate points. A mirror is a pair: its
+    *pivot* axis, and all axes that it reverses. It is applied to points whose coordinate along the pivot is negative.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)

@@ -1,8 +1,8 @@
 """Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
-Each round splits many leaves at once; splits beyond the limits are undone at the end, so that the tree is the same as
-if a priority queue split one leaf at a time (:func:`split_order` tells why). A byte budget also determines the number
-of bits of each coefficient.
+Each round splits many leaves at once. Splits beyond the limits are undone at the end. So the tree is the same as if a
+priority queue split one leaf at a time (:func:`split_order` tells why). A byte budget also determines the number of
+bits of each coefficient.
 """
 
 import os
@@ -28,7 +28,7 @@ GrowingTree = TypeVar("GrowingTree", bound=Sized)  # a partition; its length is 
 
 
 class BudgetTooSmall(ValueError):
-    """An error: a byte budget is too small even for a single leaf, whose file takes ``num_bytes``."""
+    """An error: a byte budget is too small even for a file with a single leaf, which takes ``num_bytes``."""
 
     def __init__(self, max_bytes: float, num_bytes: int):
         super().__init__(max_bytes, num_bytes)  # all arguments, for pickling
@@ -45,7 +45,7 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of a construction; it ends at the first one that it reaches."""
+    """The limits of a construction, which ends at the first limit that it reaches."""
 
     max_depth: int
     max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
@@ -58,7 +58,7 @@ class Limits:
     def file_size(self, dim: int, num_leaves: int, num_bits: int, num_cut_off: int = 0) -> int:
         """Return the largest size in bytes of a file whose leaves take ``num_bits`` bits, including its proof.
 
-        ``num_cut_off`` is the number of leaves that the file names because they are cut off from the goal.
+        ``num_cut_off`` is the number of leaves that the file lists as cut off from the goal.
         """
         num_bits += bits_of_set(num_cut_off, num_leaves)
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
@@ -70,7 +70,7 @@ class Limits:
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
-    """Raise a ``ValueError`` if a construction needs more memory than the machine has."""
+    """Raise a ``ValueError`` if a tree of ``num_nodes`` nodes needs more memory than the machine has."""
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
@@ -120,7 +120,10 @@ class Nodes(Rows):
         return (len(self.key) + 1) // 2  # a binary tree of n leaves has 2 n - 1 nodes
 
     def leaves_of_splits(self, splits: Int[np.ndarray, " splits"]) -> Leaves:
-        """Return the leaves of the tree that has only these splits; with a node, they contain its ancestors."""
+        """Return the leaves of the tree in which only the nodes ``splits`` are split.
+
+        ``splits`` must contain all ancestors of each of its nodes.
+        """
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
         is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
@@ -148,9 +151,10 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make leaves of fitted cells; ``priority`` and ``axis`` are the answers of the split rules.
+    """Turn fitted cells into leaves of the growing tree; ``key_of_parent`` has their parents' keys (:class:`Nodes`).
 
-    A cell may be split if its priority is larger than tolerance and noise, and it is not too deep.
+    ``priority`` and ``axis`` are what the rules ``should_split`` and ``split`` returned for the cells. A cell may be
+    split if its priority is larger than the tolerance and the noise of distances, and if it is not too deep.
     """
     check_rules(fit, priority, axis)
     priority, axis = urgent_first(fit, priority, axis)
@@ -173,9 +177,10 @@ def nodes_of_fit(
 def urgent_first(
     fit: CellFit, priority: Float[np.ndarray, " cells"], axis: Int[np.ndarray, " cells"]
 ) -> tuple[Float[np.ndarray, " cells"], Int[np.ndarray, " cells"]]:
-    """Return priorities and axes, replaced for urgent cells (see :class:`CellFit`).
+    """Return the priorities and split axes of cells, after replacing those of urgent cells (see :class:`CellFit`).
 
-    An urgent cell's priority is near the largest float, and halved with each split, so that large cells come first.
+    An urgent cell gets a priority near the largest float, halved with each split, so that large cells come first. Its
+    axis becomes ``fit.urgent_axis``.
     """
     is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
@@ -183,7 +188,7 @@ def urgent_first(
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, " cells"]:
-    """Return, for each cell, the priority that it must exceed to be split."""
+    """Return, for each cell, the value that the cell's priority must exceed for the cell to be split."""
     return np.maximum(limits.tolerance, fit.noise)
 
 
@@ -226,22 +231,22 @@ def center_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
-    """Return priority ``inf``, or 0 if no sample reaches the goal, so that cells are split breadth first."""
+    """Return priority ``inf``, or 0 if no sample of a cell reaches the goal: cells are split breadth first."""
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
-    Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of another side (in fractions
-    of the domain), are chosen only if all axes are like this: then axis 0.
+    Two kinds of axes are excluded: axes at the depth limit, and axes along which the halves would be shorter than 1/8
+    of another side, in fractions of the domain's sides. If all axes are excluded, return axis 0.
     """
     cost = _sum_of_squares_after_split(fit)
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
-    """Return each cell's number of splits modulo ``dim``: the axes take turns, as in Section III-B of the paper."""
+    """Return each cell's number of halvings modulo ``dim``: axes take turns, as in Section III-B of the paper."""
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
 
 
@@ -274,12 +279,12 @@ _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio o
 _SAMPLES_AT_ONCE = 2**20  # about as many samples of cells are fitted at once
 _LAST_SHARE = 32  # a round makes at least 1/32 of all splits that were made or are possible, if so many are allowed
 FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
-"""Function from cells and their parents' keys to nodes, which samples and fits cells and applies the split rules."""
+"""Function ``(cells, parent_keys)`` that samples and fits cells, applies the split rules, and returns nodes."""
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """How files store leaves, for several numbers of bits per value."""
+    """The sizes of files and the rounding errors of stored leaves, for several numbers of bits per value."""
 
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value
@@ -287,10 +292,10 @@ class Encoding:
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
-    """Return a function that turns cells, and the priorities of their parents, into nodes of a growing tree.
+    """Return a function that turns cells, and their parents' keys (see :class:`Nodes`), into nodes of a growing tree.
 
-    It samples and fits cells, about a million samples at a time, and calls ``nodes_of(fits, priorities)``. Cells with
-    few samples that reach the goal are sampled densely.
+    The function samples and fits cells, about a million samples at a time, and calls ``nodes_of(fit, parent_keys)``.
+    Cells in which few samples reach the goal are sampled again, more densely.
     """
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
@@ -319,7 +324,7 @@ def grow_best_first(
 ) -> tuple[Nodes, Leaves, int]:
     """Split the leaves of highest priority first, until a limit is reached.
 
-    Return all nodes, the indices of those that are leaves of the PLR, and the number of bits of each coefficient.
+    Return all nodes, the indices of the nodes that are leaves of the PLR, and the number of bits per stored value.
     """
 
     def split_some(nodes: Nodes) -> Nodes | None:
@@ -352,9 +357,10 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Leaves, int]:
-    """For each number of bits per value, find the largest tree that fits; return the leaves and bits of least error.
+    """Choose the number of bits per stored value and the tree, within the limits, that have the least expected error.
 
-    ``BudgetTooSmall`` if not even one leaf fits.
+    For each number of bits, only the largest tree that fits is tried. Return the indices of the leaves and the number
+    of bits. ``BudgetTooSmall`` if not even one leaf fits.
     """
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)

@@ -1,7 +1,8 @@
 """Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners.
 
-Pairs of leaves are found by descending from pairs of nodes, without the pairs that do not touch: :func:`leaf_pairs`.
-Finite elements need both: leaves that share a face must agree on it, which constrains their values at corners.
+Pairs of leaves are found from pairs of tree nodes by replacing nodes by their children: :func:`leaf_pairs`. Pairs
+that do not touch are dropped. Finite elements need shared faces and constraints: leaves that share a face must agree
+on the face, which constrains their values at corners.
 """
 
 from collections.abc import Callable
@@ -26,9 +27,9 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` tells which pairs stay. A
-    column of ``pairs`` has a node of ``a``, a node of ``b`` and any data that new pairs copy. The result has indices
-    of leaves instead of nodes.
+    Each step replaces a pair by two pairs, one for each half of its larger node; ``keep`` tells which new pairs to
+    follow. A column of ``pairs`` has a node of ``a``, a node of ``b`` and, in further rows, any data that new pairs
+    copy. The columns of the result have indices of leaves instead of nodes.
     """
     trees = a, b
     finished = [pairs[:, :0]]
@@ -56,7 +57,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
 
 
 def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, " n"]:
-    """Return whether cells ``i`` of ``a`` and ``j`` of ``b`` overlap along ``axis``."""
+    """Return, for each ``k``, whether cell ``i[k]`` of ``a`` and cell ``j[k]`` of ``b`` overlap along ``axis[k]``."""
     # One interval then contains the other: both have the same position at the lower one of their depths.
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
@@ -75,9 +76,10 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> "csr_array":
-    """Return the matrix that maps free values to all values; ``is_free`` is 1 for a free value, else 0.
+    """Return the square matrix that computes all values from the independent values, for which ``is_free`` is 1.
 
-    Row ``i`` of ``step`` gives value ``i``, if it is not free, as a weighted sum of other values, without cycles.
+    If ``is_free[i]`` is 0, value ``i`` is a weighted sum of other values, with the weights in row ``i`` of ``step``.
+    No value may depend on itself.
     """
     from scipy.sparse import csr_array, diags_array
 
@@ -91,11 +93,12 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"], most_weights: int) -> "csr_array":
-    """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
+    """Return a square matrix ``m`` with ``rows @ m == 0``; it maps any values to solutions of these equations.
 
-    Each equation is solved for its variable of the highest ``level``, a number for each variable; of several, for the
-    one of the largest absolute weight; of several, for the first one. ``ValueError`` if this takes more than
-    ``most_weights`` additions. Modifies ``rows`` in place: weights up to ``ZERO`` become 0.
+    Each row is an equation, and is solved for its variable of the highest ``level``, a number given for each
+    variable. Among several such variables, the one with the largest absolute weight is chosen; among equal weights,
+    the first. ``ValueError`` if this takes more than ``most_weights`` additions. ``rows`` is modified: weights up to
+    ``ZERO`` become 0.
     """
     from scipy.sparse import csr_array
 
@@ -135,7 +138,10 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
 
 
 def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
-    """Add ``factor * other`` to a sparse row in place; return the number of weights in ``other``."""
+    """Add ``factor * other`` to the sparse ``row`` in place; return the number of weights in ``other``.
+
+    A sparse row maps indices to weights.
+    """
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > ZERO:
@@ -159,7 +165,11 @@ _TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells
 def neighbor_of_largest_contact(
     cells: Cells, unreachable: Int[np.ndarray, " m"], reachable: Int[np.ndarray, " n"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, " m"]:
-    """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
+    """For each leaf in ``unreachable``, find the leaf in ``reachable`` with which it shares the largest face.
+
+    A shared edge or corner counts as a tiny face. Leaves are indices; the result is -1 if no reachable leaf touches
+    the leaf.
+    """
     tree = tree_of(cells)
     leaf_of_cell = np.argsort(tree.order)  # inverse permutation of `order`, the index in `cells` of each leaf
     pairs = tree.order[touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)]
@@ -174,7 +184,10 @@ def neighbor_of_largest_contact(
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
-    """Return pairs of a leaf of ``some`` and a leaf of ``others`` that share a face, an edge or a corner."""
+    """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner.
+
+    Leaves are given and returned by their indices.
+    """
     # A pair of nodes stays if they touch or overlap, the first contains a leaf of ``some``, and the second, of
     # ``others``.
     finest = tree.cells.depth.max(axis=0)
@@ -193,10 +206,11 @@ def touching_leaves(
 
 
 def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, " pairs"]:
-    """Return the size of the face that the cells of each pair share: tiny for an edge or a corner, 0 if apart.
+    """Return the size of the face that the two cells of each pair share; tiny for an edge or a corner, 0 if apart.
 
-    It is the product over the axes of the length of the contact, as a share of the domain. ``finest`` has the largest
-    depth of cells along each axis.
+    The size is the product, over the axes, of the lengths along which both cells meet, in fractions of the domain.
+    Along an axis on which cells only touch, the length counts as tiny. ``finest`` has the largest depth of cells
+    along each axis.
     """
     # Along an axis, in widths of finest cells:
     #     lo[0] ------------- hi[0]
@@ -222,7 +236,7 @@ _MOST_FACES_OF_LEAF = 2**7
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Faces of two leaves each: leaf ``lower`` ends and leaf ``upper`` begins at the face along ``axis``."""
+    """Faces between two leaves, perpendicular to ``axis``: leaf ``lower`` ends and leaf ``upper`` begins there."""
 
     # Across the ends of a periodic axis, the lower leaf is at the upper end; a leaf that spans it is on both sides.
     lower: Int[np.ndarray, " faces"]
@@ -234,7 +248,11 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
-    """Return all faces that two leaves share, also across periodic seams, by lower, then upper leaf."""
+    """Return all faces that two leaves share, sorted by lower leaf, then upper leaf, then axis.
+
+    Along periodic axes, leaves at both ends of the domain share faces, too. ``ValueError`` if there are too many
+    faces.
+    """
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     # Start at the halves of every split, and at the root with itself across each periodic seam. A column has the node
     # below the face, the node above it, and the face's axis.
@@ -257,7 +275,11 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return ``k`` points of each face in fractions of the domain; ``w`` has their places in a face, from 0 to 1."""
+    """Return ``k`` points of each face, as fractions of the domain.
+
+    ``w`` has the positions of the points in a face, from 0 to 1 along each axis; the coordinate across the face has
+    no effect.
+    """
     # A face is the intersection of both leaves' sides. Along its axis, it is where the lower leaf ends.
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size

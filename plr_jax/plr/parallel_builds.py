@@ -19,7 +19,7 @@ _AT_ONCE = 1024  # points in a task, whatever the number of workers
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function that workers of an executor evaluate."""
+    """A distance function that the workers of an executor evaluate in parallel, in tasks of up to 1,024 points."""
 
     distance_fn: DistanceFn
     executor: Executor
@@ -49,9 +49,12 @@ Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
 
 
 def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> tuple[dict[int, bytes], bool]:
-    """Return the finished results by index, and whether an interrupt (Ctrl-C) stopped the computation.
+    """Compute the results of all chunks, such as files of PLRs, on parallel workers.
 
-    ``executor`` computes the chunks. If it is None or a worker dies, threads of this process compute what is left.
+    A chunk is a pair: the indices of some results, and a function that returns the bytes of these results.
+    ``executor`` computes the chunks. If it is None or a worker dies, threads of this process compute the missing
+    chunks. ``progress`` counts the results. Return the finished results by index, and whether an interrupt (Ctrl-C)
+    stopped the computation.
     """
     results: dict[int, bytes] = {}
     threads = ThreadPoolExecutor(num_cores())
@@ -67,9 +70,9 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
 
 
 def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], progress: tqdm) -> None:
-    """Build chunks by the workers of a pool, and add their bytes to ``results`` as they finish.
+    """Compute chunks on the workers of a pool; as each chunk finishes, add its results to ``results`` by index.
 
-    If the workers die, the results of some chunks stay missing.
+    If workers die, the results of some chunks stay missing.
     """
     futures: dict[Future[list[bytes]], list[int]] = {}
     try:

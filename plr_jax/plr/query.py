@@ -1,9 +1,13 @@
 """Evaluation of a PLR in JAX.
 
-On a CPU, in 32 bits, answers equal those of the NumPy and C readers bit for bit, except for numbers below 1e-38.
+A query has four steps:
 
-A query applies mirror symmetries to the points (*folds* them), moves them into the period of periodic axes (*wraps*
-them), finds each point's leaf by bit arithmetic and table lookups, and evaluates the leaf's function.
+1. *Fold* the points: apply mirror symmetries that map them into the domain of the leaves.
+2. *Wrap* the points: move them into the domain along periodic axes.
+3. Find each point's leaf by bit arithmetic and table lookups.
+4. Evaluate the leaf's function.
+
+On a CPU, in 32 bits, answers equal those of the NumPy and C readers bit for bit, except for numbers below 1e-38.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +33,10 @@ _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables,
 
 
 def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Values:
-    """Return the PLR's distance at each point, NaN for NaN; ``outside`` tells the answer outside the domain."""
+    """Return the PLR's distance at each point ``x``, ``(..., dim)``; NaN where a coordinate is NaN.
+
+    ``outside`` is the answer outside the domain: see :data:`~plr_jax.plr.frame.Outside`.
+    """
     x = _as_float_points(tables, x)
     if outside == "clamp":
         nearest, distance = _clamp(tables if tables.folding is None else tables.folding, x)
@@ -61,7 +68,8 @@ def _as_float_points(tables: Tables, x: Array) -> Points:
 def bounds_of_tables(tables: Tables, band: Float[Array, "2 rows"], x: Array) -> tuple[Values, Values]:
     """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
-    ``band`` has bounds of (distance - PLR's value) in two rows, a column for each leaf or one for all leaves.
+    ``band`` has bounds of distance minus PLR value: lower bounds in row 0, upper bounds in row 1. It has a column for
+    each leaf, or one column for all leaves. Where the PLR's value is not finite, both results equal this value.
     """
     value = evaluate_tables(tables, x)
     if band.shape[1] == 1:
@@ -106,14 +114,20 @@ def _straight_bound(tables: Tables, x: Points) -> Values:
 
 
 def goals_in_tables(tables: Tables, goals: Int[Array, " rows"], x: Array) -> Int[Array, "*batch"]:
-    """Return the index of the goal that each point's leaf leads to, of ``goals`` by leaf; -1 if it leads to none."""
+    """Return the index of the goal to which each point's leaf leads; -1 where the distance is not finite.
+
+    ``goals`` has the index of each leaf's goal.
+    """
     x = _constant(_as_float_points(tables, x))
     leads = jnp.isfinite(evaluate_tables(tables, x))
     return jnp.where(leads, gather(goals, lookup(tables, x)), -1)
 
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Points:
-    """Return each point's next waypoint, the apex of its leaf's cone; NaN outside the closed domain and for NaN."""
+    """Return each point's next waypoint, the apex of its leaf's cone.
+
+    The waypoint is NaN outside the closed domain and where a coordinate is NaN.
+    """
     x = _constant(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
     numbers = _leaf_parameters(tables, find_row(tables, x), x.dtype)
@@ -123,7 +137,10 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Points:
 
 
 def lookup(tables: Tables, x: Points) -> Bits:
-    """Return the index of each point's leaf, up to rounding; an arbitrary leaf outside the domain and for NaN."""
+    """Return the index of each point's leaf; next to a border, rounding may give the leaf on the other side.
+
+    Outside the domain and where a coordinate is NaN, the index is that of an arbitrary leaf.
+    """
     if tables.folding is not None:
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
@@ -131,7 +148,7 @@ def lookup(tables: Tables, x: Points) -> Bits:
 
 
 def find_row(tables: Tables, x: Points) -> Bits:
-    """Return the row of ``tables.leaf_parameters`` that has the parameters of each point's leaf.
+    """Return, for each point, the index at which ``tables.leaf_parameters`` has the parameters of the point's leaf.
 
     Along periodic axes, points must lie in the domain.
     """
@@ -190,9 +207,9 @@ def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
 
 
 def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Values]:
-    """Return whether points, wrapped along periodic axes, are outside the closed domain, and the answer there.
+    """Return whether points are outside the closed domain, and the answer for points outside.
 
-    The answer is ``inf``, or NaN if a coordinate is NaN.
+    Along periodic axes, all finite coordinates are inside. The answer is ``inf``, or NaN if a coordinate is NaN.
     """
     x, frame = _constant(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], np.inf, x.dtype)
@@ -214,7 +231,10 @@ def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Val
 
 
 def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Array, "*#batch"]]:
-    """Return the nearest point of the domain and the distance to it; a point that is not finite does not move."""
+    """Return, for each point, the nearest point of the domain and the distance to it.
+
+    A point that is not finite does not move, and has distance 0.
+    """
     is_finite = jnp.isfinite(x).all(axis=-1)
     nearest = [x[..., axis] for axis in range(window.dim)]
     beyond = []  # differences to the nearest point, along axes that are not periodic
@@ -235,7 +255,10 @@ def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Arra
 
 
 def length_of(along: list[Values]) -> Float[Array, "*#batch"]:
-    """Return the lengths of vectors given axis by axis, without overflow or underflow; the gradient at 0 is 0."""
+    """Return the lengths of vectors, without overflow or underflow; the gradient at 0 is 0.
+
+    ``along`` has an array of coordinates for each axis.
+    """
     # |v| = s * |v / s|, with s the largest coordinate.
     largest = _constant(reduce(jnp.maximum, map(jnp.abs, along)))
     scale = jnp.where(largest > 0, largest, 1)
@@ -258,7 +281,10 @@ def _wrap(tables: Tables, x: Points) -> Points:
 
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
-    """Return the values of leaf functions at points; ``row`` has the row of each leaf's parameters."""
+    """Return the value of each point's leaf function; ``row`` has the index of the leaf's parameters.
+
+    At points ``outside`` the domain, the value has no meaning.
+    """
     numbers = _leaf_parameters(tables, row, x.dtype)
     frame = tables.frame.astype(x.dtype)
     place = []  # where the leaf's function is evaluated, axis by axis
@@ -281,7 +307,7 @@ def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
 
 @dataclass(frozen=True)
 class _Unfused:
-    """Numbers whose products the compiler does not fuse with sums, as the file format requires."""
+    """An array whose products are not fused with sums: each product is rounded, as the file format requires."""
 
     value: Values
 
@@ -322,7 +348,10 @@ def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
-    """Return the row of each point's leaf in a stack of PLRs, level by level of the trie."""
+    """Return the index of the parameters of each point's leaf in a stack of PLRs, by descending the stack's trie.
+
+    A trie is a lookup table that is read level by level, from coarse to fine.
+    """
 
     # Entry 2 * i + 1 leads to the page that starts at entry i, where the point's bits select an entry. Entry 2 * i
     # leads to row i; it reads entry i, which is 2 * i again.
@@ -357,7 +386,7 @@ straight_through.defjvp(lambda primals, tangents: (primals[1], tangents[0]))
 
 
 def without_fusion(value: Values) -> Values:
-    """Return a product or sum that the compiler cannot fuse with later operations."""
+    """Return ``value``, a product or sum, such that the compiler cannot fuse it with later operations."""
     # The selection returns the value itself, but compilers do not fuse across it.
     constant = _constant(value)
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))

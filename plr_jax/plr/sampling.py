@@ -29,7 +29,11 @@ _FINE_DEPTH = 5  # halvings along each axis after which a cell is small enough t
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """The places of samples in every cell: local coordinates ``u``, from -1 to 1 across the cell, and fit weights."""
+    """The positions and weights of the samples in a cell, the same for all cells.
+
+    Positions are local coordinates ``u``, from -1 to 1 across the cell along each axis. The first sample is the
+    center. Samples may also lie beyond the cell.
+    """
 
     u: Float[np.ndarray, "k dim"]
     weight: Float[np.ndarray, " k"]
@@ -43,18 +47,24 @@ class Pattern:
 
     @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
-        """Matrix ``[1 u]`` from a plane (center value, then half of its rise along each axis) to sample values."""
+        """Matrix ``[1 u]`` that maps a plane (center value, half of its rise along each axis) to sample values."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Matrix from sample values to the least-squares plane: center value, half of its rise along each axis."""
+        """Matrix that maps sample values to their weighted least-squares plane.
+
+        A plane is its center value, then half of its rise across the cell along each axis.
+        """
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis, the design matrix of two separate planes in the lower and the upper half of a cell."""
+        """For each axis, the design matrix of two separate planes, in the lower and in the upper half of a cell.
+
+        The first ``1 + dim`` columns are for the lower half, the others for the upper half.
+        """
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
@@ -73,10 +83,11 @@ class Pattern:
 
 @lru_cache(maxsize=8)
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
-    """Make a pattern of samples in a cell: its center, points inside and on faces, and its corners if few.
+    """Make a pattern of samples in a cell: its center, points inside and points on its faces.
 
-    About 1/3 of all samples are on faces, to detect slivers of free space behind walls. Samples reach beyond the cell
-    by ``margin`` times its width.
+    The corners are samples, too, if they are at most 1/4 of all samples. About 1/3 of all samples are on faces, to
+    detect slivers of free space behind walls. With a ``margin`` above 0, samples are spread over a larger box, which
+    extends beyond the cell by ``margin`` times its width on every side.
     """
     rng = np.random.default_rng(seed)
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
@@ -91,7 +102,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "num_points dim"]:
-    """Return evenly spread points in the unit cube, moved by ``shift`` modulo 1; in a plane, a Fibonacci lattice."""
+    """Return evenly spread points in the unit cube, moved by ``shift`` modulo 1; in 2-D, a Fibonacci lattice."""
     # Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     dim, root = len(shift), 1.0
     for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane
@@ -116,7 +127,8 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     """Fit each cell's plane by weighted least squares, which gives small mean errors (Section III-A of the paper).
 
     The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
-    determine the plane, the slope has the least norm: a single sample gives a constant plane, no sample gives zero.
+    determine the plane, the slope has the least norm. So a single sample gives a constant plane, and no sample gives
+    zero.
 
     Args:
         pattern: The sample pattern.
@@ -167,17 +179,18 @@ class CellFit(Rows):
     Attributes:
         pattern: The sample pattern; its first sample is the center.
         max_axis_depth: Largest number of halvings of a cell along one axis.
-        reachable: Whether each sample reaches the goal, ``(cells, k)``.
+        reachable: Whether the goal can be reached from each sample, ``(cells, k)``.
         weight: Error weight of each sample (``weight_fn``, or 1); 0 where the goal cannot be reached.
         value: Sampled distance; 0 where the goal cannot be reached.
         center: Value of the plane at the cell's center; ``inf`` for a cell without a sample that reaches the goal.
         half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
-        urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for others.
-            A cell is urgent for one of two reasons. It holds points that reach the goal as well as far cut-off points
-            (see :class:`Reach`). Or little of the domain reaches the goal, and few samples of the cell do.
-        is_cut_off: Whether each cell holds cut-off points, and no point that reaches the goal.
+        urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for other
+            cells. A cell is urgent in two cases. Case 1: it holds points that reach the goal, and, far from all such
+            points, free points that do not (see :class:`Reach`). Case 2: few samples of the cell reach the goal, and
+            only a small part of the domain does.
+        is_cut_off: Whether each cell holds free points that do not reach the goal, and no point that does.
     """
 
     cells: Cells
@@ -212,7 +225,7 @@ class CellFit(Rows):
 
     @property
     def noise(self) -> Float[np.ndarray, " cells"]:
-        """Error of each cell that splits cannot reduce: the resolution of 32-bit floats, weighted like errors."""
+        """The weighted error of each cell that no split can reduce: the resolution of 32-bit floats."""
         return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
 
 
@@ -279,8 +292,9 @@ class Sampler:
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
 
-        No error is raised if splits will find points that reach the goal. With ``pieces_suffice``, none is raised
-        either if the oracle knows free space from which the goal can be reached.
+        There is no error in two cases. Case 1: the cell is *urgent* (see :class:`CellFit`), so that splits will find
+        points that reach the goal. Case 2: ``pieces_suffice`` is True, and the oracle knows free space that reaches
+        the goal.
         """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
@@ -295,8 +309,8 @@ class Sampler:
     def first_cells(self, most: int) -> CellFit:
         """Sample the domain as one cell, then halve *urgent* cells, whose samples do not show their error.
 
-        The largest urgent cells come first, until no cell is urgent (see :class:`CellFit`) or there are ``most``
-        cells. ``ValueError`` if no sample of these cells reaches the goal.
+        Of the urgent cells (see :class:`CellFit`), the largest are halved first, until no cell is urgent or there are
+        ``most`` cells. ``ValueError`` if no sample of the resulting cells reaches the goal.
         """
         fit = self.root()
         while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):
@@ -317,8 +331,9 @@ def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
 def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.ndarray, " cells"]:
     """Return the axis along which to halve each cell that passes the test ``holds``; -1 for other cells.
 
-    It is the axis along which the fewest halves pass. Of several such axes, it is the one along which the cell is
-    longest, in fractions of the domain. Axes that :func:`is_closed` excludes are left out; if all are, it is axis 0.
+    ``holds(lo, hi)`` tests boxes, given in fractions of the domain. The axis is the one along which the fewest of the
+    two halves pass the test. Among several such axes, it is the one along which the cell is longest, in fractions of
+    the domain. An axis that :func:`is_closed` excludes is not chosen; if all are excluded, axis 0 is.
     """
     axis = np.full(len(cells), -1)
     passing = np.flatnonzero(holds(*cells.fractions))
@@ -334,12 +349,20 @@ def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.nda
 
 
 def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:
-    """Return along which axes cells must not be halved, if another axis is left."""
+    """Return, for each cell and axis, whether the axis is closed: the cell should not be halved along it.
+
+    An axis is closed if the cell was halved ``max_axis_depth`` times along it, or ``MAX_ASPECT_BITS`` times more than
+    along another axis. ``depth`` has the number of halvings of each cell along each axis.
+    """
     return (depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS) | (depth >= max_axis_depth)
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Fit the cells in which some free space, but no sample, reaches the goal, by planes tangent to the distance."""
+    """Give planes to the cells in which free space, but no sample, reaches the goal; return the changed fit.
+
+    Each plane is tangent to the distance at a point of the free space. All other cells keep their planes. Without
+    ``sampler.cache``, nothing changes.
+    """
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.cache is None or not len(unseen):
         return fit
@@ -384,7 +407,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
 
 
 def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
-    """Return the given weights, but 1 for samples that reach the goal in cells whose weights are all 0."""
+    """Return the weights of samples; in a cell whose weights are all 0, each sample that reaches the goal gets 1."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 
@@ -399,7 +422,10 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, " n"]:
-    """Return, for each mirrored point ``z``, the largest weight of the domain's points that mirrors map to it."""
+    """Return, for each folded point ``z``, the largest weight of all points of the domain that mirrors map to ``z``.
+
+    The result is 0 if no point of the domain is mapped to ``z``. Without a ``weight_fn``, all points have weight 1.
+    """
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

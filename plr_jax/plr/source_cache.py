@@ -13,7 +13,11 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class SourceCache:
-    """A cache of the sources of cells, so that halves inherit the sources of their wholes."""
+    """A cache of the *sources* of cells: corners (or the goal) to which shortest paths from a cell may go first.
+
+    The sources of a cell's half are computed from the sources of the cell. ``root`` has the sources of the whole
+    domain.
+    """
 
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
@@ -23,7 +27,11 @@ class SourceCache:
         self.remember(Cells.root(2), root)
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
-        """Add the sources of cells, as a new part."""
+        """Add cells and their sources to the cache.
+
+        ``visible`` has the sources of each cell: the corners (or the goal) to which shortest paths from the cell may
+        go first.
+        """
         hashes = np.append(self._hashes, cells.hashes())
         part = np.full(len(cells), len(self._parts))
         place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
@@ -32,7 +40,10 @@ class SourceCache:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells; each cell must be cached or half of a cached cell."""
+        """Return the *sources* of cells: the corners (or the goal) to which shortest paths from a cell may go first.
+
+        Each cell must be cached, or be half of a cached cell; it is then cached.
+        """
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # 1. Find the whole of each new cell: the cached cell along the first axis if there is one, else along the
@@ -50,7 +61,10 @@ class SourceCache:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
-        """Return the sources of a tree's leaves; unless all are known, descend from the domain's sources."""
+        """Return the *sources* of a tree's leaves: the corners (or the goal) to which paths from a leaf may go first.
+
+        If some leaves are not cached, their sources are computed from the sources of the domain, level by level.
+        """
         if not self._knows(tree.leaves).all():
             nodes = np.zeros(1, np.int64)  # of a level; `visible` has their sources
             visible = self.sources(Cells.root(2))
@@ -79,7 +93,11 @@ class SourceCache:
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-    """Return exact distances to the goal at ``k`` points of each cell; ``inf`` where it cannot be reached."""
+    """Return the exact distance to the goal at each point ``x[i, j]`` of cell ``i``; ``inf`` without a path.
+
+    ``visible`` has the free space of each cell, and the corners (or the goal) to which shortest paths from the cell
+    may go first.
+    """
     # 1. Find all pairs of a piece of free space and a point in it; the point is ``x[cell of the piece, column]``.
     distance = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])

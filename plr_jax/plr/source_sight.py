@@ -1,4 +1,4 @@
-"""Visibility of the sources of a PLR (corners and goals from which its cones measure distances) among walls."""
+"""Find out which sources of a PLR (corners and goals from which its cones measure distances) a point sees."""
 
 from functools import lru_cache
 
@@ -15,7 +15,10 @@ from plr_jax.plr._plr import PLR
 
 
 class SourceSight:
-    """The visibility of a PLR's sources, the corners and goals from which its leaves measure distances."""
+    """Tests of whether points see the sources of a PLR, the corners and goals from which its cones measure distances.
+
+    ``rounding`` is a bound of the error of a source's position in the file, in workspace units.
+    """
 
     def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
         sources = plr.stored.sources
@@ -46,8 +49,9 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
-        ``first``, the source of the start's leaf, stays if the path through it is free and reaches the goal.
-        Otherwise the source of the shortest free path to the goal replaces it, if there is such a path.
+        The starts are ``x``. ``first`` has the index of a source for each start: the source of its leaf. This source
+        stays if the path through it is free and reaches the goal. Otherwise, it is replaced by the first source of
+        the shortest free path to the goal, if there is a free path.
         """
         # 1. Test the given sources.
         is_free = self._is_clear[first] & self._sees(first, x)
@@ -71,7 +75,7 @@ class SourceSight:
         return first, is_free
 
     def _sees(self, source: Int[np.ndarray, " n"], x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each point sees its source, up to the tolerance."""
+        """Return whether each point ``x[i]`` sees the source ``source[i]``, up to the tolerance."""
         view = self._view[source]
         sees = view >= 0
         sees[sees] = self._table.sees(view[sees], x[sees])

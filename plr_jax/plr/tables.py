@@ -1,11 +1,12 @@
 """Lookup tables that map a point to its leaf by bit arithmetic, without descending a tree.
 
-The highest bits of a point's position select an entry (*blocks* and *slots*: ``frame.py``). There are 3 layouts:
+The highest bits of a point's position along each axis select an entry. There are 3 layouts:
 
 - A *flat* table has one entry for each cell of a regular grid: the cell's leaf.
-- *Blocks*, where a flat table exceeds its size class: each block has its own grid of slots, and each slot an entry.
-- *Pages*, for small PLRs with deep trees: like blocks, but entries store leaf parameters instead of leaf indices,
-  which saves a read.
+- *Blocks* are for PLRs whose flat table would be too large. Each cell of a coarse grid, a block, has a finer grid of
+  its own. The table has an entry for each cell of the finer grids: the cell's leaf.
+- *Pages* are for small PLRs with deep trees. They are like blocks, but entries store leaf parameters instead of leaf
+  indices, which saves a read.
 """
 
 from dataclasses import dataclass, field, replace
@@ -53,7 +54,7 @@ _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the 
 
 
 def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped[Array, "*batch"]:
-    """Return ``table[index]`` without a bounds check."""
+    """Return ``table[index]`` without a bounds check; all indices must be valid."""
     return table.at[index].get(mode="promise_in_bounds")
 
 
@@ -61,7 +62,7 @@ def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
-    # Entry 2 * i: row i of the leaf parameters; 2 * i + 1: the point's child table, which begins at entry i.
+    # An entry 2 * i leads to row i of the leaf parameters, an entry 2 * i + 1 to the child table that begins at i.
     entries: UInt32[Array, " entries"]
     bits: UInt32[Array, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
     start: UInt32[Array, "*batch"]  # first entry of one PLR, or of each point's PLR
@@ -69,7 +70,10 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads that entry for all points."""
+    """Small arrays, one for each query point, in one flat array.
+
+    ``t[i, j]`` reads entry ``[i, j]`` of every small array.
+    """
 
     flat: Array
     shape: tuple[int, ...]  # of each point's array
@@ -106,8 +110,9 @@ class FoldedDomain:
 class Blocks:
     """The coarse level of a lookup table: each cell of a coarse grid, a *block*, has a table for a finer grid.
 
-    A block's *word* has, from its lowest bit, log2 of the finer grid's size along each axis, then the table's start
-    in ``leaf_of_slot``. Axes that do not fit go into further words, each of which costs a query one more read.
+    A block has one or more 32-bit *words*. The first word has, from its lowest bit, log2 of the finer grid's size
+    along each axis, then the start of the block's table in ``leaf_of_slot``. Axes for which the first word has no
+    room go into further words. Each word costs a query one read.
     """
 
     words: tuple[UInt32[Array, " blocks"], ...]
@@ -117,9 +122,10 @@ class Blocks:
 
 
 def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], shift: PerAxis) -> Blocks:
-    """Pack each block's data into words: log2 of its table's size by axis (``shape``) and the start (``offset``).
+    """Pack the data of blocks, the cells of a coarse grid, into 32-bit words (see :class:`Blocks`).
 
-    ``shift`` has the number of bits of a point's position below those of its block, by axis.
+    ``shape`` has log2 of the size of each block's table by axis, ``offset`` the start of each table and the end of
+    the last. ``shift`` has, by axis, the number of bits of a point's position below the bits that identify its block.
     """
     #   first word  | start | ... | size of axis 1 | size of axis 0 |      `width` bits a size
     #   next word           | ... | size of axis k | size of axis k - 1 |  with axes that do not fit
@@ -138,9 +144,10 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], sh
 
 
 def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
-    """Choose how often a coarse grid halves each axis, so that its cells' lookup tables take the least memory.
+    """Choose how often a coarse grid halves each axis, so that the lookup tables of its cells take the least memory.
 
-    ``bits`` has the halvings of the finest leaves by axis. ``ValueError`` if all tables exceed ``max_entries``.
+    ``bits`` has the largest number of halvings of a leaf along each axis. ``ValueError`` if, for every coarse grid
+    tried, the tables have more than ``max_entries`` entries.
     """
     best, fewest = None, np.inf
     for most in range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum()))):
@@ -159,9 +166,10 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
 def leaves_of_slots(
     cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"]
 ) -> UInt32[np.ndarray, " slots"]:
-    """Return the leaf of each slot, table by table.
+    """Return the leaf in each entry of the lookup tables of all *blocks* (cells of a coarse grid), table by table.
 
-    ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their first entries.
+    ``block_bits`` says how often the coarse grid halves each axis. ``shape`` has log2 of the size of each block's
+    table along each axis. The table of block ``i`` has the entries ``offset[i]`` up to ``offset[i + 1]``.
     """
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
@@ -176,12 +184,13 @@ def leaves_of_slots(
 
 @pytree
 class Pages:
-    """The coarse level of a lookup table whose entries each hold the parameters of a leaf.
+    """The coarse level of a lookup table in which each entry holds the parameters of a leaf.
 
-    The first entries hold all leaves in order. A *block*, a cell of a coarse grid, refers to one of these entries if
-    it lies in one leaf. Any other block has a *page*: an entry for each cell of a finer grid that separates the
-    leaves in the block. A point's entry is the page's start plus some bits of the point's position, which a mask
-    selects. If these bits are not adjacent, the page has gaps, which entries of other pages fill.
+    The table begins with one entry for each leaf, in order. Each cell of a coarse grid, a *block*, has a word that
+    leads to an entry. If the block lies in one leaf, this is the leaf's own entry. Any other block has a *page*, a
+    table with an entry for each cell of a finer grid. An index in the page consists of those bits of the point's
+    position that a mask in the word selects. The mask may leave gaps between the entries of a page; other pages use
+    these gaps.
     """
 
     words: UInt32[Array, " blocks"]  # mask of the fraction bits that index the page; above it, the page's start
@@ -194,8 +203,9 @@ def build_pages(
 ) -> tuple[Pages, PerAxis, UInt16[np.ndarray, " entries"], int] | None:
     """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
 
-    Return the pages, how often their grid halves each axis, the leaf in each entry, and the number of entries after
-    padding: one of ``entry_counts`` (ascending). Among coarse grids, choose the one whose table takes least memory.
+    Among coarse grids, choose the one whose table takes the least memory. The table is padded to the least sufficient
+    of ``entry_counts`` (ascending); each entry holds ``parameters_per_entry`` numbers. Return the pages, how often
+    the coarse grid halves each axis, the leaf in each entry, and the padded number of entries.
     """
     # 1. Choose the coarse grid. An index into a page has a field of `page_bits` bits for each axis, the last axis
     #    lowest, with `later_bits` bits below it. A page that is halved less often along an axis uses the highest
@@ -252,10 +262,11 @@ def build_pages(
 def _place_pages(
     shape: PerBlock, page_bits: PerAxis, later_bits: PerAxis, first_entry: int
 ) -> tuple[Int[np.ndarray, " blocks"], int]:
-    """Return where each block's page begins, and the end of all pages.
+    """Return the entry at which the page (lookup table) of each block begins, and the end of all pages.
 
-    A buddy allocator places pages by decreasing size, from entry ``first_entry`` on. ``later_bits`` has the number of
-    index bits of all later axes in the largest page.
+    A buddy allocator places pages by decreasing size, from entry ``first_entry`` on. ``shape`` has log2 of each
+    page's size by axis; a block whose ``shape`` is 0 along all axes has no page. ``page_bits`` has log2 of the
+    largest page's size by axis. ``later_bits`` has, for each axis, the sum of the ``page_bits`` of all later axes.
     """
     # Pages interleave. Example: the largest page has 2 x 4 entries, with page_bits (1, 2) and later_bits (2, 0), so
     # an index has the bits `a b b`: one of axis 0, two of axis 1.
@@ -324,7 +335,11 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables whose queries first mirror points (given minus ``origin``) into the part the tree covers."""
+        """Return tables whose queries first mirror points into the *folded* domain.
+
+        The folded domain is the part of the domain that the leaves cover. The points of queries are relative to
+        ``origin``. If ``folding`` is None, return these tables unchanged.
+        """
         if folding is None:
             return self
         domain = folding.domain.moved(-origin)
@@ -337,7 +352,10 @@ class Tables:
 def build_tables(
     domain: Box, cells: Cells, leaf_parameters: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Build lookup tables of leaf parameters; ``ValueError`` if the tables would be too large."""
+    """Build the lookup tables that map points to the parameters of their leaves, for a file of ``num_bytes`` bytes.
+
+    ``leaf`` is the leaf model. ``ValueError`` if the tables would be too large.
+    """
     size_class = byte_class(max(num_bytes, ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(size_class, leaf.least_bytes)
     # Large tables are padded for their own number of leaves, not for the most leaves of the class.

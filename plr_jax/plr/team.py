@@ -1,4 +1,4 @@
-"""Evaluation of one PLR for each robot of a team, compiled as one function."""
+"""Evaluation of several PLRs, one for each robot of a team, compiled as one function."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,13 +19,17 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A function that maps joint configurations to each robot's distance, or a lower bound of it, by its PLR."""
+    """A function that evaluates one PLR per robot: it maps joint configurations to distances, or to lower bounds."""
 
     plrs: tuple[Any, ...]  # a PLR for each robot
     bands: Bands  # arguments of :func:`bounds_of_tables` for a robot's lower bound; None for its distance
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's distance; its PLR sees the leading coordinates of the robot's configuration."""
+        """Return each robot's distance (or lower bound) at the joint configurations ``q``.
+
+        The PLR of a robot is evaluated at as many leading coordinates of the robot's configuration as the PLR has
+        dimensions.
+        """
         if q.ndim != 3 or q.shape[1] != len(self.plrs):
             raise ValueError(f"Joint configurations must have shape (n, {len(self.plrs)}, dof), got {q.shape}.")
         for i, plr in enumerate(self.plrs):
@@ -42,7 +46,11 @@ class TableStack:
         return distances.T
 
     def _answer(self, q: Float[np.ndarray, "n robots dof"]) -> tuple[Array, ...]:
-        """Return each robot's answers, for joint configurations padded by zeros up to one of few batch sizes."""
+        """Return an array of distances (or lower bounds) for each robot, with one entry per joint configuration.
+
+        ``q`` is first padded by zeros up to one of few batch sizes, so that few sizes are compiled. The arrays have
+        this padded length.
+        """
         q = padded(q.astype(np.float64, copy=False), padded_size(len(q), _SIZES))
         pairs = [plr.tables_and_points(q[:, i, : plr.dim]) for i, plr in enumerate(self.plrs)]
         dtype = jax.dtypes.canonicalize_dtype(np.float64)

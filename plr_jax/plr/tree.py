@@ -15,13 +15,16 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 
 
 class Rows:
-    """A base of dataclasses whose arrays have one row for each item: an index takes the same rows of all arrays."""
+    """A base class of dataclasses whose arrays have one row for each item.
+
+    Indexing selects the same rows of all arrays.
+    """
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
 
     def append(self, *others: Self) -> Self:
-        """Concatenate the arrays; all other attributes stay those of the first object."""
+        """Concatenate the arrays of this object and of ``others``; keep the other attributes of this object."""
         columns = {}
         for name, column in self._columns().items():
             parts = [getattr(other, name) for other in others]
@@ -35,7 +38,11 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """Dyadic cells of a domain: along each axis, ``lo + (hi - lo) * [position, position + 1] / 2**depth``."""
+    """Dyadic cells of a domain.
+
+    Along each axis, a cell reaches from ``position / 2**depth`` to ``(position + 1) / 2**depth``, in fractions of the
+    domain (0 at its lower end, 1 at its upper end).
+    """
 
     depth: Int[np.ndarray, "cells dim"]
     position: Int[np.ndarray, "cells dim"]
@@ -53,7 +60,7 @@ class Cells(Rows):
 
     @property
     def fractions(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Lower and upper corners of the cells, from 0 to 1 along each axis of the domain."""
+        """Lower and upper corners of the cells, as fractions of the domain (from 0 to 1 along each axis)."""
         size = np.ldexp(1.0, -self.depth)
         return self.position * size, (self.position + 1) * size
 
@@ -62,7 +69,10 @@ class Cells(Rows):
         return domain.at(lo), domain.at(hi)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Return corners of boxes with all points that a 32-bit query, by rounding, may assign to each cell."""
+        """Return the lower and upper corners of boxes that enclose the cells with a margin for rounding.
+
+        The margin covers all points that a 32-bit query, by rounding, may assign to a cell.
+        """
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
@@ -70,7 +80,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Return the points with local coordinates ``u``, from -1 to 1 across each cell."""
+        """Return the ``k`` points of each cell with the local coordinates ``u``, from -1 to 1 across the cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow if the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -79,7 +89,7 @@ class Cells(Rows):
         return x
 
     def hashes(self) -> UInt64[np.ndarray, " cells"]:
-        """Return a hash of each cell's depths and positions; equal hashes count as equal cells."""
+        """Return a 64-bit hash of each cell's depths and positions. Cells with equal hashes are taken for equal."""
         numbers = (np.int64(1) << self.depth) + self.position  # 1 is the whole axis, 2 and 3 are its halves
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:
@@ -87,18 +97,18 @@ class Cells(Rows):
         return total
 
     def split(self, axis: Int[np.ndarray, " cells"]) -> "Cells":
-        """Halve each cell along its axis; in the result, a cell's upper half follows its lower half."""
+        """Halve cell ``i`` along ``axis[i]``; in the result, a cell's upper half follows its lower half."""
         parent = np.repeat(np.arange(len(self)), 2)
         return self[parent].halves(axis[parent], np.arange(len(parent)) % 2 == 1)
 
     def halves(self, axis: Int[np.ndarray, " cells"], is_upper: Bool[np.ndarray, " cells"]) -> "Cells":
-        """Return one half of each cell along its axis."""
+        """Return one half of each cell, cut along its ``axis``: the upper half where ``is_upper``, else the lower."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])
 
 
 def grown_domain(domain: Box) -> Box:
-    """Return a box of all points that a 32-bit query, by rounding, may assign to the domain."""
+    """Return a box that contains all points that a 32-bit query, by rounding, may take for points of the domain."""
     lo, hi = Cells.root(domain.dim).grown_boxes(domain)
     return Box(lo[0], hi[0])
 
@@ -123,7 +133,7 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, " nodes"]:
-        """Index of the leaf that each node is; -1 for a split node."""
+        """For each node that is a leaf, the index of this leaf; -1 for a split node."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
@@ -134,7 +144,10 @@ class Tree:
 
 
 def tree_of(cells: Cells) -> Tree:
-    """Build the tree of given leaves; a node is split along the first axis on which all its leaves are narrower."""
+    """Build the tree whose leaves are the given cells, which partition the domain.
+
+    A node is split along the first axis along which all leaves in it are narrower than the node.
+    """
     # The tree grows level by level. All arrays of nodes are of the current level.
     node = np.zeros(len(cells), np.int64)  # of each leaf: the node of the level that contains it, at last its own
     active = np.arange(len(cells))  # leaves below the level
@@ -150,8 +163,8 @@ def tree_of(cells: Cells) -> Tree:
         is_inner = np.any(narrower, axis=1)
         split_axis = np.argmax(narrower > 0, axis=1)
         axes.append(np.where(is_inner, split_axis, -1))
-        # 3. Move leaves to their half: the next binary digit of their position. Halves of inner node i are 2 i, 2 i +
-        #    1.
+        # 3. Move leaves to their half: the next binary digit of their position. Inner node i has the halves 2 i and
+        #    2 i + 1.
         active = active[is_inner[node[active]]]
         along = split_axis[node[active]]
         below = cells.depth[active, along] - node_depth[node[active], along] - 1
@@ -168,7 +181,7 @@ def tree_of(cells: Cells) -> Tree:
 
 
 def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
-    """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
+    """Build a tree from the split axes of its nodes, an array for each level; -1 instead of an axis marks a leaf."""
     child = np.full(sum(map(len, axes)), -1)
     cells = Cells.root(dim)  # of a level
     levels, splits, first = [], [], 0  # the first node of a level
@@ -186,7 +199,10 @@ def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
 
 
 def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
-    """Return the leaves, numbered level by level as in ``axes``, from left to right."""
+    """Return the indices of a tree's leaves in the order of a traversal from left to right.
+
+    ``axes`` has an array of split axes for each level; -1 marks a leaf. Leaves are counted level by level.
+    """
     # A leaf's path from the root, one bit for each split from the highest bit down, 1 for the upper half, sorts them.
     paths, path = [], np.zeros(1, np.int64)  # of the leaves above a level, and of each node of the level
     for depth, axis in enumerate(axes):
@@ -196,5 +212,5 @@ def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Return the corners of the unit cube in binary order, one in each row."""
+    """Return the corners of the unit cube, one per row, as bits in binary order: the last axis varies fastest."""
     return np.array(list(product((0, 1), repeat=dim)))

@@ -16,7 +16,7 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 _ROUNDING = 1e-12  # slack of the checks of a body, as a share of its size
 _HALF_TURN = 0.5 + 1e-10  # in full turns; the excess absorbs the rounding of headings up to 1e5
 _MOST_VERTICES = 1_000
-_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, the front left one first
+_CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, front left first
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
@@ -26,8 +26,11 @@ Moments: TypeAlias = Float[np.ndarray, " n"]
 class Robot:
     """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
 
-    The *reference point* is the origin of the core's frame and must lie in the body, since distances measure the path
-    of this point. A configuration has the point's position, and the heading by which the body turns about the point.
+    The *reference point* is the origin of the core's coordinates. It must lie in the body, since distances measure
+    the path of this point. A configuration is the position of the reference point, followed by the heading if the
+    body can turn. The heading is the angle, in radians counterclockwise, by which the body is turned about the
+    reference point.
+
     A new shape is a subclass that sets the three attributes. Robots of equal shape must be equal and have the same
     hash, as frozen dataclasses do.
 
@@ -43,7 +46,10 @@ class Robot:
 
     @cached_property
     def inscribed_radius(self) -> float:
-        """Radius of the largest disc around the reference point in the body; negative if that point is outside."""
+        """Radius of the largest disc around the reference point in the body.
+
+        If the reference point is outside the body, the result is minus its distance from the body.
+        """
         core = self.core
         if len(core) > 2 and (depth := side_offsets(core, np.zeros((1, 2))).min()) >= 0:
             return self.rounding + float(depth)
@@ -56,7 +62,7 @@ class Robot:
 
     @cached_property
     def breadth(self) -> float:
-        """Smallest distance of two parallel lines that enclose the body."""
+        """Smallest distance between two parallel lines that enclose the body."""
         across = side_offsets(self.core, self.core).max(axis=1).min() if len(self.core) > 2 else 0.0
         return float(across) + 2 * self.rounding
 
@@ -73,7 +79,10 @@ class Robot:
 
 
 def check_body(name: str, robot: Robot) -> None:
-    """Raise a ``ValueError`` unless a robot is convex, counterclockwise, and around its reference point."""
+    """Raise a ``ValueError`` unless a robot's core is convex and counterclockwise, and its body holds the origin.
+
+    The origin of the core's coordinates is the robot's reference point. The error message begins with ``name``.
+    """
     core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
         raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")
@@ -92,25 +101,32 @@ def check_body(name: str, robot: Robot) -> None:
 
 
 def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k n"]:
-    """Return the signed distance of each point to the line of each side of a polygon, positive to the left."""
+    """Return the signed distance of each point ``x[j]`` to the line of each side ``i`` of a polygon, ``(k, n)``.
+
+    Side ``i`` leads from vertex ``i`` to the next vertex. Distances are positive on the left of the side: on the
+    inside, if the vertices are counterclockwise.
+    """
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
 
 
 def team_dof(robots: Sequence[Robot]) -> int:
-    """Return how many coordinates each robot's configuration has in a team: 3 if any robot has a heading, else 2."""
+    """Return the number of coordinates per robot in joint configurations: 3 if any robot has a heading, else 2."""
     return max((robot.dof for robot in robots), default=2)
 
 
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the signed shorter turns between headings, positive counterclockwise; half a turn counts as positive."""
+    """Return the shorter turns from headings ``theta0`` to ``theta1``, in radians, positive counterclockwise.
+
+    Half a turn counts as positive.
+    """
     # turns - ceil(turns - 1/2) lies in (-1/2, 1/2], so half a turn is positive.
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
 
 
 def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the angles between headings, from 0 to pi; a turn by way of a third heading is never shorter."""
+    """Return the angles between headings, in radians from 0 to pi; they satisfy the triangle inequality."""
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * np.abs(turns - np.rint(turns))
 
@@ -118,14 +134,21 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
 def between(
     q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Return configurations at shares ``t`` from 0 to 1 of straight motions, which turn the shorter way."""
+    """Return the configurations at fractions ``t``, from 0 to 1, of straight motions from ``q0`` to ``q1``.
+
+    Headings turn the shorter way.
+    """
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
 
 
 def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the fraction of the motion between them that is done."""
+    """Return, for each time in ``when``, the indices of the waypoints before and after it, and the fraction between.
+
+    A path reaches its waypoint ``i`` at ``times[i]``, in nondecreasing order. Earlier times count as the first time,
+    later times as the last. The fraction is the share of the time from the waypoint before to the waypoint after.
+    """
     # A time at the end belongs to the last motion. A path of one row has no motion: both rows are its only row.
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
@@ -136,7 +159,7 @@ def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows
 
 
 def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "n 2"]:
-    """Return the positions in the workspace of points in the robot's frame, for the robot at ``q``."""
+    """Return the workspace positions of points that are given in the frame of a robot at configuration ``q``."""
     if robot.dof == 2:
         return q[:2] + points
     cos, sin = np.cos(q[2]), np.sin(q[2])
@@ -144,7 +167,7 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
 
 
 def footprint(robot: Robot, q: Float[np.ndarray, " dof"]) -> Any:
-    """Return the core of a robot at configuration ``q``, without the radius around it, as a Shapely geometry."""
+    """Return the core of a robot at configuration ``q`` as a Shapely geometry, not widened by ``robot.rounding``."""
     corners = placed(robot, robot.core, q)
     return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)
 

@@ -1,4 +1,8 @@
-"""Scenes of our experiments, the scene file format, and readers of maps, which may raise ``OSError``."""
+"""Ready-made planning problems (scenes), files of problems, and readers of maps in common file formats.
+
+:func:`load` and :func:`save` are for scene files. Every ``read_...`` function takes the path of a map, and raises
+``OSError`` if the file cannot be opened. :func:`read_workspace` chooses the reader by the file's ending and content.
+"""
 
 import lazy_loader
 

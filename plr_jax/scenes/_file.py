@@ -94,7 +94,7 @@ def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
-    """Make robot ``i`` of a scene from its entry in a decoded JSON file."""
+    """Make robot ``i`` of a scene from its entry in a decoded JSON file of the given format ``version``."""
     fields_of = {shape: fields for shape, (_, fields, first_version) in _SHAPES.items() if first_version <= version}
     shape = str(entry.get("shape")) if isinstance(entry, dict) else ""
     if shape not in fields_of or set(entry) != {"shape", *fields_of[shape]}:

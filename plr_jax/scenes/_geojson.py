@@ -1,4 +1,4 @@
-"""Readers of polygons as workspaces: rings in JSON, GeoJSON, and well-known text (WKT)."""
+"""Read files of polygons as workspaces: JSON files of rings, GeoJSON, and well-known text (WKT)."""
 
 import math
 import os
@@ -21,7 +21,7 @@ from plr_jax.geometry.workspace import Workspace
 
 
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
-    """Read a workspace from a JSON file of free-space polygons; its bounds are their bounding box.
+    """Read a workspace from a JSON file of free-space polygons; its bounds are the bounding box of the polygons.
 
     The file has one of these forms. A ring is a list of points ``[x, y]``; ``"holes"`` is optional::
 
@@ -78,8 +78,8 @@ def read_geojson(
     for example to UTM; a warning tells if coordinates look like degrees.
 
     Args:
-        path: A file with a FeatureCollection, a Feature, or a geometry: polygons, multipolygons and collections of
-            them. Null and empty geometries are skipped, altitudes are dropped.
+        path: A file with a FeatureCollection, a Feature, or a geometry: a polygon, a multipolygon, or a collection of
+            these geometries. Null and empty geometries are skipped, altitudes are dropped.
         polygons: Whether the polygons are obstacles or free space.
         bounds: Bounds of the workspace. None: the file's ``"bbox"``, or else the bounding box of all polygons.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
@@ -114,9 +114,10 @@ def read_wkt(
 ) -> Workspace:
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
-    A ``.wkt`` file has one polygon, multipolygon, or collection of them. Empty geometries are skipped; altitudes,
-    measures and ``SRID=...;`` are dropped. Arguments, units and errors are those of :func:`read_geojson`, but by
-    default polygons are free space, and bounds are their bounding box.
+    A ``.wkt`` file has one polygon, one multipolygon, or one collection of polygons and multipolygons. Empty
+    geometries are skipped; altitudes, measures and ``SRID=...;`` are dropped. Arguments, units and errors are those
+    of :func:`read_geojson`, except for two defaults: polygons are free space, and bounds are the bounding box of the
+    polygons.
     """
     path = Path(path)
     with errors_named(path):
@@ -149,7 +150,11 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
-    """Make a workspace of polygons, obstacles or free space; warn if coordinates look like degrees."""
+    """Return a workspace with the obstacles ``shapes``; if ``polygons`` is "free", ``shapes`` are the free space.
+
+    If ``bounds`` is None, the bounds are the bounding box of ``shapes``. ``squeeze`` says whether paths may pass
+    between obstacles that touch in a point. A warning tells if coordinates look like degrees.
+    """
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
     if not shapes:
@@ -214,7 +219,10 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 
 
 def _polygon(rings: Any, where: str) -> Iterator[Any]:
-    """Yield the polygon of a list of rings, the outer one first; yield nothing if they are empty."""
+    """Yield the polygon of a list of rings, outer ring first, or nothing if all rings are empty.
+
+    ``where`` names the polygon's place in the file for error messages.
+    """
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
     rings = rings or []

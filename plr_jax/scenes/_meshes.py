@@ -1,4 +1,4 @@
-"""Readers of triangle meshes from STL, OBJ and PLY files; polygonal faces are cut into triangles."""
+"""Read triangle meshes from STL, OBJ and PLY files; faces with more than three corners are cut into triangles."""
 
 import re
 import struct
@@ -31,7 +31,11 @@ Triangles: TypeAlias = Float[np.ndarray, "triangles 3 3"]
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read the faces of a mesh as triangles; ``ValueError`` if the file is no mesh or damaged."""
+    """Read the faces of a mesh as triangles, ``(triangles, 3 corners, 3 coordinates)``.
+
+    The file must end in ``.stl``, ``.obj`` or ``.ply``; the ending tells the format. ``ValueError`` is raised if the
+    file is no such mesh, too large or damaged.
+    """
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:
@@ -48,9 +52,9 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def triangulated(polygons: Polygons) -> Triangles:
-    """Cut plane polygons in space, all with the same number of corners, into triangles.
+    """Cut plane polygons in space, ``(n, corners, 3)``, into triangles, ``(triangles, 3 corners, 3 coordinates)``.
 
-    Polygons may be concave, and outlines may touch themselves. If an outline crosses itself, the regions that it
+    Polygons may be concave, and an outline may touch itself. If an outline crosses itself, the regions that it
     encloses are cut into triangles. An outline that encloses nothing gives triangles without area.
     """
     if polygons.shape[1] == 3:
@@ -64,11 +68,11 @@ def triangulated(polygons: Polygons) -> Triangles:
     is_simple = (polygons.shape[1] == 4) & ((normals[:, 0] * normals[:, 1]).sum(axis=1) > 0)
     simple_fans = fans[is_simple]
     fans, polygons, normals = (rows[~is_simple] for rows in (fans, polygons, normals))
-    # 2. Project the others along the axis k closest to the normal, which keeps the most area: reorder the coordinates
-    #    to (k + 1, k + 2, k), modulo 3. GEOS works in the first two, and carries the third along.
+    # 2. Project the other polygons along the axis k closest to the normal, which keeps the most area: reorder the
+    #    coordinates to (k + 1, k + 2, k), modulo 3. GEOS works in the first two, and carries the third along.
     axes = (np.abs(normals).sum(axis=1).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
     projected: Any = shapely.polygons(np.take_along_axis(polygons, axes[:, None], axis=2))
-    # 3. Triangulate. GEOS accepts outlines that touch themselves; those that cross are repaired first.
+    # 3. Triangulate. GEOS accepts outlines that touch themselves; outlines that cross themselves are repaired first.
     is_crossed = ~shapely.is_valid(projected)
     projected[is_crossed] = shapely.make_valid(projected[is_crossed], method="structure", keep_collapsed=False)
     parts, polygon = shapely.get_parts(shapely.constrained_delaunay_triangles(projected), return_index=True)
@@ -187,7 +191,10 @@ def _read_ply(data: bytes) -> list[Polygons]:
 
 
 def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:
-    """Return polygons as arrays, one for each number of corners; polygons with too few corners are left out."""
+    """Return lists of corners as arrays ``(n, corners, 3)``, one array for each number of corners.
+
+    Polygons with fewer than three corners are left out.
+    """
     by_size = defaultdict(list)
     for polygon in polygons:
         by_size[len(polygon)].append(polygon)

@@ -1,4 +1,4 @@
-"""Readers of grid maps (``.map``) and scenarios (``.scen``) of the Moving AI benchmarks."""
+"""Read grid maps (``.map``) and lists of queries (``.scen``) of the Moving AI benchmarks."""
 
 import os
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _SCEN_COLUMNS = 9
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace; its bounds are the bounding box of the free cells.
 
-    The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``; so a picture with
+    The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``. So a picture with
     ``y`` up shows the map upside down. Cells are free if they are ``.`` or ``G`` (ground), or ``S`` (swamp, at no
     extra cost). ``squeeze`` says whether a path may pass between two blocked cells that touch in one corner.
     ``ValueError`` is raised if the file is not a Moving AI map, its rows do not match its header, or no cell is free.
@@ -40,7 +40,7 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
 
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
-    """Return which cells of the lines of a ``.map`` file are passable, in the order of the file."""
+    """Return which cells are passable, ``(rows, columns)``, given the lines of a ``.map`` file, in their order."""
     # 1. Read the numbers of rows and columns in the header.
     match [line.split() for line in lines[:_HEADER_LINES]]:
         case [["type", _], ["height", height], ["width", width], ["map"]] if (
@@ -71,9 +71,9 @@ class Scenario:
     Attributes:
         map_name: Name of the map, as given in the file.
         starts, goals: Points, ``(n, 2)``, as in the file: the corner of each cell with the least ``x`` and ``y``. Add
-            0.5 for the center in the coordinates of :func:`read_map`. As they are, the points are the cells of a
-            :class:`GridGraph` of :func:`read_cells`. Shortest paths between corners, in the closed free space, may be
-            shorter than between centers.
+            0.5 for the cell's center in the coordinates of :func:`read_map`. For a :class:`GridGraph` of
+            :func:`read_cells`, the corners already select the right cells. In the closed free space, shortest paths
+            between corners may be shorter than between centers.
         octile_lengths: Published lengths of shortest paths on the 8-connected grid, ``(n,)``, rounded to about six
             digits. Apart from rounding, a Euclidean shortest path is never longer.
     """

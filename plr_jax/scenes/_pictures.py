@@ -1,4 +1,4 @@
-"""Readers of maps stored as pictures, alone or with the YAML file of ROS's ``map_server``; light pixels are free."""
+"""Read maps that are stored as pictures, alone or with the YAML file of ROS's ``map_server``; light means free."""
 
 import errno
 import math
@@ -29,12 +29,12 @@ PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg
 YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
 # Limits of a picture, which bound the memory and time that any file takes.
-_MOST_BYTES = 2**26  # of the file
+_MOST_BYTES = 2**26  # bytes of the file
 _MOST_PIXELS = 2**24
 _MOST_DECODED = 3 * 2**24  # bytes of all decoded pixels
 _SMALL = 2**22  # pixels that a file of any size may have
 _PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger pictures
-_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
+_BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # by Pillow's mode, when decoded; all other modes take 4
 _BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 _NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
 _NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
@@ -42,7 +42,7 @@ OPAQUE = 255  # largest value of an alpha channel
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
 # Tags of TIFF, two of their values, and tags of GeoTIFF.
 _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339
-_BLACK_IS_ZERO, _SIGNED = 1, 2  # of _PHOTOMETRIC and of _SAMPLE_FORMAT
+_BLACK_IS_ZERO, _SIGNED = 1, 2  # values of _PHOTOMETRIC and of _SAMPLE_FORMAT
 _PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113
 # Entries of _GEO_KEYS: the key, the tag that holds its value (0: this entry), the number of values, and the value.
 _PIXEL_IS_POINT = [1025, 0, 1, 2]  # raster coordinates refer to pixel centers
@@ -71,7 +71,8 @@ def read_image(
         origin: Position of the outer corner of the lower left pixel.
         threshold: Lightness above which a pixel is free, from 0 to less than 1.
         tolerance: Tolerance of the outline, in pixels, as for :meth:`Workspace.from_mask`.
-        drop_specks: Blocked components of at most this many pixels become free, then free ones blocked.
+        drop_specks: Blocked components of at most this many pixels become free. Then free components of at most this
+            many pixels become blocked.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
@@ -133,7 +134,10 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
 
 
 def _require_limits(picture: "Image", num_bytes: int) -> None:
-    """Raise a ``ValueError`` if a picture, whose file has ``num_bytes`` bytes, takes too much memory to decode."""
+    """Raise a ``ValueError`` if a picture has too many pixels to decode, in all or per byte of its file.
+
+    ``num_bytes`` is the size of the file.
+    """
     size = f"{picture.width:,} x {picture.height:,}"
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES_PER_PIXEL.get(picture.mode, 4) > _MOST_DECODED:
@@ -148,8 +152,9 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 def _require_plain(picture: Any, numbers: bool) -> None:
     """Raise a ``ValueError`` if Pillow does not decode the lightness or opacity of a picture reliably.
 
-    In PNG files of 2 or 4 bits, Pillow scales gray pixels to 8 bits, but not the gray that counts as transparent:
-    this function scales ``picture.info["transparency"]`` in place.
+    In PNG files with 2 or 4 bits per pixel, one gray level may stand for transparent pixels. Pillow scales the pixels
+    to 8 bits, but not this level: this function scales ``picture.info["transparency"]`` in place. If ``numbers``, the
+    error message is for a reader of costs.
     """
     # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black.
     tags = getattr(picture, "tag_v2", None)
@@ -171,7 +176,11 @@ def _require_plain(picture: Any, numbers: bool) -> None:
 
 
 def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield a picture in bands of rows: the slice of the rows, and the three values of :func:`_lightness`."""
+    """Yield a picture in bands of rows, to bound the memory.
+
+    Each item is the slice of the band's rows, and the three results of :func:`_lightness` for these rows: the
+    lightness of the pixels, the lightness of white, and the opacity.
+    """
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
@@ -208,8 +217,9 @@ def read_map_server(
 ) -> Workspace:
     """Read a map of ROS's ``map_server``, a robot's occupancy grid, as a workspace in meters.
 
-    The occupancy of a pixel is ``1 - lightness``, or its lightness if ``negate`` is set. A pixel is free below
-    ``free_thresh``, occupied above ``occupied_thresh``, and unknown between. The mode decides about transparency:
+    The occupancy of a pixel is ``1 - lightness``, with lightness from 0 (black) to 1 (white). If ``negate`` is set,
+    it is the lightness itself. A pixel is free below ``free_thresh``, occupied above ``occupied_thresh``, and unknown
+    between. The ``mode`` changes how pixels are read:
 
     - ``trinary``: in a picture with an alpha channel, lightness is the mean of red, green, blue and alpha, as in ROS
       and in Nav2 up to Jazzy.
@@ -224,7 +234,8 @@ def read_map_server(
     obstacles; other arguments are as for :func:`read_image`. ``ValueError`` is raised if the file is not such a map,
     its picture is damaged or too large, or nothing is free.
 
-    References: http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
+    References: http://wiki.ros.org/map_server;
+    https://docs.nav2.org/configuration/packages/configuring-map-server.html.
     """
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path) as file:
@@ -250,9 +261,10 @@ def read_cost_map(
       that are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
     - ``raw``: the percentages in the pixels, without thresholds.
 
-    Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
-    adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF.
+    Occupied cells are blocked. If all other cells are free or unknown, the usual costs around obstacles are added by
+    ``read_cost_map(path).inflated(inscribed_radius)``. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
+    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF. ``interpolation`` is as
+    for :class:`RasterCost`.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
@@ -285,7 +297,10 @@ def read_cost_map(
 
 
 def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[Any, Any]]:
-    """Read a TIFF of cost factors: the factors, lowest row first, ``inf`` where blocked, and the raster's corners."""
+    """Read a TIFF of cost factors; return the factors and the lower and upper corner of the raster.
+
+    Row 0 of the factors has the lowest ``y``. Cells without data are ``inf``.
+    """
     with open_picture(path, numbers=True) as picture:
         if picture.mode not in _NUMBER_MODES:
             advice = "For a map of map_server give its .yaml file."
@@ -320,7 +335,10 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
 
 
 def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
-    """Return the numbers of a tag of TIFF, finite and as many as in ``default``, which stands for a missing tag."""
+    """Return the numbers of a TIFF tag, or ``default`` if there is no such tag.
+
+    ``ValueError`` is raised unless the numbers are finite and as many as in ``default``.
+    """
     values = tags.get(tag, default)
     if not isinstance(values, tuple) or len(values) != len(default) or not np.isfinite(values).all():
         raise ValueError(f"expected {len(default)} finite numbers in the tag {tag}, got {shortened(values)}.")
@@ -370,7 +388,10 @@ class _MapServer:
     def cells(
         self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
     ) -> Shaped[np.ndarray, "rows columns"]:
-        """Apply ``value_of`` to the occupancy (0 to 1, NaN where unknown) of all pixels; row 0 is the top row."""
+        """Return ``value_of`` of each pixel's occupancy, as an array of ``dtype`` whose row 0 is the top row.
+
+        ``value_of`` maps arrays of occupancies to arrays. Occupancies are from 0 to 1, NaN where unknown.
+        """
         with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, white, alpha in bands(picture):
@@ -387,14 +408,17 @@ class _MapServer:
         return cells
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
-        """Return which pixels are free: row 0 is the top row."""
+        """Return which pixels are free, ``(rows, columns)``; row 0 is the top row of the picture."""
         # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
         if unknown_is_free:
             return self.cells(lambda occupancy: ~(occupancy > self.occupied_thresh), bool)
         return self.cells(lambda occupancy: occupancy < self.free_thresh, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
+        """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``, by mode and thresholds.
+
+        The values are 0 (free) to 100 (occupied), and -1 where unknown.
+        """
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":

@@ -1,4 +1,7 @@
-"""Ready-made scenes of the paper and the experiments, most read from the folder ``published``, and variants."""
+"""Ready-made scenes: the planning problems of the paper and of the experiments, and random variants of a problem.
+
+Most scenes are read from files in the folder ``published``; a door and a crowd are generated for any team size.
+"""
 
 import math
 from collections.abc import Sequence
@@ -34,8 +37,11 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
 
 
 def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
-    """Move robot ``i``'s start (``end`` 0) or goal (1) to a random free place, up to ``distance`` away."""
-    # The square root makes the positions uniform in the disc.
+    """Return the problem with the start (``end`` 0) or goal (``end`` 1) of robot ``i`` moved to a random free place.
+
+    The new place is at most ``distance`` away, in workspace units. If the robot can turn, its heading changes, too.
+    """
+    # The square root makes the random positions uniform in the disc of radius `distance`.
     for _ in range(_ATTEMPTS):
         ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
@@ -48,9 +54,9 @@ def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distanc
     raise ValueError(f"Robot {i} has no other free {name} within {distance:g} in {_ATTEMPTS:,} attempts.")
 
 
-_RADIUS = 0.4  # of the discs at a door and in a crowd
-_MOST_AT_A_DOOR = 50  # robots
-_WALLS = (  # of a door
+_RADIUS = 0.4  # radius of the discs at a door and in a crowd
+_MOST_AT_A_DOOR = 50  # largest number of robots
+_WALLS = (  # the obstacles beside a door
     ((10.0, 0.0), (11.0, 0.0), (11.0, 9.4), (10.0, 9.4)),
     ((10.0, 10.6), (11.0, 10.6), (11.0, 20.0), (10.0, 20.0)),
 )
@@ -62,8 +68,9 @@ _MOST_TRIALS = 1_000_000  # random positions that are tried for the starts of a 
 def door(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two halls, 10 x 20 each, that change halls through one door, 1.5 diameters wide.
 
-    The first half of the robots start in the left hall, the others at the mirror images of these starts. Each goal
-    is the mirror image of the start. ``ValueError`` is raised unless ``num_robots`` is even, from 2 to 50.
+    The first half of the robots start in the left hall. The other half start at the mirror images of these places in
+    the right hall. Each robot's goal is the mirror image of its start. ``ValueError`` is raised unless ``num_robots``
+    is even, from 2 to 50.
     """
     require_integer("num_robots", num_robots, 2)
     if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
@@ -91,7 +98,10 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
-    """Draw random places for discs in a square of width ``side``, at a distance from one another."""
+    """Draw random centers of discs in a square of width ``side``, with gaps between discs and to the sides.
+
+    The discs have radius 0.4; gaps are at least 0.05. ``ValueError`` if no positions are found.
+    """
     places = np.empty((0, 2))
     margin = _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):
@@ -126,14 +136,15 @@ def floor_plan() -> Problem:
 
 
 def single_door() -> Problem:
-    """A disc of radius 0.4 in two rooms, 10 x 10 in all, joined by a door 1.25 diameters wide."""
+    """A disc of radius 0.4 in two rooms, together 10 x 10, joined by a door 1.25 diameters wide."""
     return load(_FOLDER / "single_door.json")
 
 
 def four_rooms(num_robots: int) -> Problem:
     """Discs of radius 0.4 that change rooms through a shared center, with doors 1.25 diameters wide.
 
-    ``num_robots`` is 2 to 4, one to a room, or 8, two to a room; else ``ValueError``. All go to the opposite room.
+    ``num_robots`` is 2 to 4, one per room, or 8, two per room; else ``ValueError``. Each disc goes to the opposite
+    room.
     """
     return _team("four_rooms", num_robots, (2, 3, 4, 8))
 
@@ -141,7 +152,7 @@ def four_rooms(num_robots: int) -> Problem:
 def cross(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two crossing hallways, 1.5 diameters wide: two discs cannot pass each other.
 
-    ``num_robots`` is 2, facing each other in one hallway, or 3, the third in the other one; else ``ValueError``.
+    ``num_robots`` is 2 or 3, else ``ValueError``. Two discs face each other in one hallway; a third is in the other.
     """
     return _team("cross", num_robots, (2, 3))
 
@@ -149,7 +160,8 @@ def cross(num_robots: int) -> Problem:
 def tangle() -> Problem:
     """Two rectangles, 1.8 x 0.5, that swap places in a hallway with a bay on each side.
 
-    They can neither pass each other nor turn in the hallway. Each bay is too narrow and too shallow to park in.
+    The rectangles can neither pass each other nor turn in the hallway. Each bay is too narrow and too shallow to park
+    in.
     """
     return load(_FOLDER / "tangle.json")
 

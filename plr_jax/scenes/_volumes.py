@@ -1,4 +1,4 @@
-"""Readers of volumes: arrays of voxels, lists of blocked voxels, and meshes, which are voxelized."""
+"""Read volumes as arrays of free voxels: from arrays, from lists of blocked voxels, and from meshes."""
 
 import os
 from collections.abc import Iterator
@@ -52,8 +52,9 @@ def read_volume(
         pitch: Side of a voxel, in units of the mesh; for meshes only, which need it.
         bounds: For meshes, the box, or its corners, that the voxels fill from the lower corner on; the last voxels
             may extend beyond it. None: the bounding box of the mesh.
-        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through faces to
-            the border of the grid. A surface with holes wider than a voxel encloses nothing.
+        fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through free
+            voxels and their faces to the border of the grid. A surface with holes wider than a voxel encloses
+            nothing.
 
     Raises:
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is
@@ -83,7 +84,7 @@ def read_volume(
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
-    """Read booleans, or integers 0 and 1, from a ``.npy`` file."""
+    """Read which voxels are free from a ``.npy`` file of booleans, or of integers 0 (blocked) and 1 (free)."""
     try:  # memory-mapped: a header that promises more than the file holds fails early
         values = np.lib.format.open_memmap(path, mode="r")
     except OSError:
@@ -100,7 +101,7 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
 
 
 def _read_list(path: Path) -> Voxels:
-    """Read a text file that lists blocked voxels after a line with the numbers of voxels."""
+    """Read which voxels are free from a text file that lists the blocked ones, after a line with the grid's shape."""
     text = text_of(path, _MOST_LIST_BYTES)
     header, _, body = text.partition("\n")
     # 1. Read the number of voxels along each axis.
@@ -131,9 +132,10 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
-    """Return which voxels no triangle meets and, with ``fill``, the surface does not enclose.
+    """Return which voxels no triangle meets. With ``fill``, voxels that the surface encloses are not free either.
 
-    Voxels are cubes of side ``pitch``, counted from the lower corner of ``bounds`` (None: of the triangles).
+    Voxels are cubes of side ``pitch`` that fill the box ``bounds`` from its lower corner on. If ``bounds`` is None,
+    it is the bounding box of the triangles.
     """
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
@@ -146,10 +148,10 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
         sizes = " x ".join(f"{along:.6g}" for along in shape)
         raise ValueError(f"expected at most {_MOST_MESH_VOXELS:,} voxels, got {sizes}: give a larger pitch.")
     blocked = np.zeros(shape.astype(np.int64).tolist(), bool)
-    # 2. Block the surface, of the triangles whose bounding boxes are near the grid.
+    # 2. Block the surface; only triangles whose bounding boxes are near the grid can meet it.
     is_near = (triangles.min(axis=1) <= shape + 1) & (triangles.max(axis=1) >= -1)
     _block_surface(triangles[is_near.all(axis=1)], blocked)
-    # 3. Block what it encloses: free voxels that are not connected through faces to the border of the grid.
+    # 3. Block what the surface encloses: free voxels that are not connected through faces to the grid's border.
     if fill:
         from scipy import ndimage
 
@@ -158,10 +160,11 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
 
 
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    """Set ``blocked``, in place, where triangles meet voxels; coordinates are in units of voxels.
+    """Set ``blocked`` to True, in place, in all voxels that meet a triangle; coordinates are in units of voxels.
 
-    Triangles are cut into slabs, one voxel thick, along the first axis, and slabs into rows along the second axis.
-    The outline of what is left gives the range of voxels along the third axis. (Axes are reordered by length.)
+    Each triangle is cut along the first axis into slabs that are one voxel thick, and each slab along the second axis
+    into rows. In each row, the outline of the triangle's piece gives a range of voxels along the third axis. The axes
+    are sorted first, so that the third axis has the most voxels.
     """
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one farther away.")
@@ -169,8 +172,8 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
     order = np.argsort(blocked.shape, kind="stable")
     blocked = blocked.transpose(order)
     corners = triangles.transpose(2, 1, 0)[order]  # (axis, corner, triangle)
-    # 2. List the edges (axis, end, edge, triangle). Each begins at its lower end along the first axis, so both
-    #    triangles at an edge clip it alike.
+    # 2. List the edges (axis, end, edge, triangle). Each begins at its lower end along the first axis, so that an
+    #    edge is clipped in the same way for both of its triangles.
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
     edges = np.where(edges[:1, :1] > edges[:1, 1:], edges[:, ::-1], edges)
     # 3. Clip to slabs, then to rows, in batches. Each clipping drops the axis along which it clips.
@@ -191,9 +194,11 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]]:
-    """Yield all pairs of a polygon and a layer of voxels that it reaches, in batches of indices.
+    """Yield all pairs of a polygon and a layer of voxels that the polygon reaches.
 
-    ``ends`` are coordinates along the axis of the layers, of which there are ``size``.
+    Pairs come in batches: an array of polygon indices and an array of layer indices. Layers are one voxel thick, and
+    numbered from 0 to ``size - 1`` along an axis. ``ends`` has the coordinates, along this axis, of both ends of the
+    polygons' edges, ``(2, edges, polygons)``.
     """
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
@@ -202,7 +207,11 @@ def _split_into_layers(
 
 
 def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return the first layer that each polygon reaches, and how many it reaches, of layers 0 to ``size - 1``."""
+    """Return the first layer of voxels that each polygon reaches along an axis, and how many layers it reaches.
+
+    ``ends`` has the coordinates, along the axis, of both ends of the polygons' edges, ``(2, edges, polygons)``, in
+    voxels. Layers are numbered from 0 to ``size - 1``.
+    """
     # Layer k spans k to k + 1: a polygon from `lowest` to `highest` touches it if k + 1 >= lowest - _TOUCHES and
     # k <= highest + _TOUCHES. Edges that were clipped away are NaN, which `fmin` and `fmax` ignore.
     lowest = np.fmin.reduce(ends, axis=(0, 1))
@@ -213,7 +222,10 @@ def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.nd
 
 
 def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
-    """Clip edges to a layer of voxels along the first axis, and drop this axis; NaN if nothing of an edge is left."""
+    """Clip the edges of polygon ``i`` to layer ``layer[i]`` of voxels along the first axis, and drop this axis.
+
+    Edges have the shape ``(axes, begin and end, edges, polygons)``. An edge outside of the layer becomes NaN.
+    """
     # The point begin + t * (end - begin) of an edge lies in the layer for t between `enters` and `leaves`, in either
     # order. An edge parallel to the layer lies in it as a whole or not at all: t is NaN, which `fmax` and `fmin`
     # replace by 0 and 1.
@@ -229,7 +241,10 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return nine segments per clipped triangle: its three edges, and those that join their begins and their ends."""
+    """Return nine segments for each triangle whose three edges were clipped to a layer of voxels.
+
+    Three are the clipped edges, three join the first ends of these edges, and three join their second ends.
+    """
     #     ends   o------o   ceiling    Each of the three edges is joined to the next, so all pairs are joined. The
     #           /        \             segments are the outline of the piece, or lie inside it, since it is convex.
     #   begins o----------o floor      A segment from an edge that was clipped away is NaN.

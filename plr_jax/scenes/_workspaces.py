@@ -1,4 +1,4 @@
-"""Reading a workspace from a file of any supported format."""
+"""Read a workspace from a file of any supported format: :func:`read_workspace`."""
 
 import inspect
 import os
@@ -31,7 +31,7 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
     - picture, such as ``.png``: :func:`read_image`; map of ``map_server``, ``.yaml``: :func:`read_map_server`
     - GeoJSON, ``.json`` or ``.geojson``: :func:`read_geojson`; well-known text, ``.wkt``: :func:`read_wkt`
     - Moving AI grid, ``.map``: :func:`read_map`; polygons with holes, ``.json``: :func:`read_polygons`
-    - scene, ``.json``: :func:`load`; no file but Shapely polygons of free space: :meth:`Workspace.from_polygons`
+    - scene, ``.json``: :func:`load`; Shapely polygons of free space (no file): :meth:`Workspace.from_polygons`
 
     Options are those of the reader. A file or an option that is not supported raises ``ValueError``.
     """

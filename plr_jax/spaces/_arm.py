@@ -20,7 +20,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, b
 
 _BOXES = 1 << 14  # boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
-_MOST_BISECTIONS = 12  # of a motion
+_MOST_BISECTIONS = 12  # largest number of times that a motion is halved
 _SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
@@ -30,17 +30,18 @@ Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class PlanarArm:
-    """Joint angles of an arm in a workspace; a motion costs its length in joint space, in radians.
+    """The configuration space of a planar arm in a workspace: joint angles; motions cost their length in radians.
 
-    The first angle is measured from the x axis, each other angle from the previous link. Angles are counterclockwise
-    and modulo a full turn. A configuration is free if all links avoid obstacles and the outside of the bounds, up to
-    ``workspace.tolerance``, and on request one another. Classification of boxes is conservative, and tighter for
-    smaller boxes. An argument out of its range raises ``ValueError``.
+    The first angle is measured from the x axis, each other angle from the previous link. Angles are in radians,
+    counterclockwise and modulo a full turn. A configuration is free if all links avoid obstacles and the outside of
+    the bounds, up to ``workspace.tolerance``; with ``self_collision``, links must also avoid one another.
+    Classification of boxes is conservative (MIXED if in doubt), and tighter for smaller boxes. An argument out of its
+    range raises ``ValueError``.
 
     Args:
         lengths: Lengths of the links, ``(joints,)``, in workspace units, positive; one joint per link.
         base: Position of the first joint, ``(2,)``, with a clearance of at least half the width.
-        width: Width of the links, at least 0: a link covers all points within half of it of a segment.
+        width: Width of the links, at least 0: a link covers all points within ``width / 2`` of a segment.
         self_collision: Whether links that are not neighbors must not overlap; needs a positive width.
     """
 
@@ -93,7 +94,7 @@ class PlanarArm:
         return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether configurations ``(n, joints)`` are free; False for those that are not finite."""
+        """Return whether configurations ``(n, joints)`` are free; False for configurations that are not finite."""
         q = as_points("q", q, self.dof)
         free = np.isfinite(q).all(axis=1)
         ends = self.forward(np.where(free[:, None], q, 0.0))
@@ -107,9 +108,10 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1``, ``(n, joints)``, are proven free all the way.
 
-        Motions that come closer to a wall than about 1e-3 of their length may not be proven free.
+        Each joint turns the shorter way. A motion that comes close to a wall may not be proven free. Close means
+        about 1e-3 of the length of the path of the arm's tip.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
@@ -146,7 +148,7 @@ class PlanarArm:
         return free
 
     def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
-        """Return which boxes of joint angles are proven free."""
+        """Return whether each box of joint angles, from ``center - half`` to ``center + half``, is proven free."""
         #     .---.___________         In a box, a link's ends stay in discs around their places at the center. The
         #    /     \          --.-.    radii, `reaches`, are the sum over joints of half width times largest distance.
         #   (   o=============( o )   A point between the ends moves no farther than the linear interpolation of both
@@ -167,7 +169,10 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
     def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
-        """Return whether boxes of joint angles surely hold no free configuration."""
+        """Return whether each box of joint angles is proven to hold no free configuration.
+
+        The boxes reach from ``center - half`` to ``center + half``.
+        """
         # They hold none if a link crosses a wall wherever its ends are in their discs; if a wall is so near to a
         # point of a link that the link covers it wherever the point moves; or if two links surely overlap.
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
@@ -192,7 +197,7 @@ class PlanarArm:
 
     @cached_property
     def _link_pairs(self) -> list[tuple[int, int]]:
-        """Pairs of links, by index, that must not overlap: none, or all pairs of links that are not neighbors."""
+        """Pairs of links, by index, that must not overlap: with ``self_collision``, all pairs of non-neighbors."""
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
     def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
@@ -201,7 +206,11 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound how far two links move relative to each other in boxes of joint angles, given half widths."""
+        """Return, for each box of joint angles and pair of links, how far the links may move relative to each other.
+
+        The result is an upper bound, for motions from the box's center to any configuration in the box. ``half`` has
+        the half widths of the boxes.
+        """
         # As seen from link i, only joints i + 1 to k move link k, and its end moves farthest.
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

@@ -15,7 +15,7 @@ from plr_jax.spaces._space import CellState, Configurations, MotionCost, as_boxe
 
 _BATCH = 1 << 14  # configurations or boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
-_MOST_BISECTIONS = 10  # of a motion
+_MOST_BISECTIONS = 10  # largest number of times that a motion is halved
 _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the last place
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
@@ -25,24 +25,24 @@ Numbers: TypeAlias = Float[np.ndarray, " n"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class ClearanceSpace:
-    """Configurations of any robot whose signed distance to obstacles is known: an arm, a drone, several bodies.
+    """The configuration space of any robot whose clearance, its signed distance to obstacles, is a known function.
 
-    Within a box, the clearance differs from the one at the center by at most the sum over axes of ``lipschitz`` times
-    the half width. So one evaluation can prove a box free or blocked. Proofs hold only if the constants are right. If
-    clearances contradict the constants, an error names constants that would fit. Invalid arguments raise
-    ``ValueError``.
+    The robot may be an arm, a drone, or several bodies. In a box of configurations, the clearance differs from the
+    clearance at the center by at most the sum over axes of ``lipschitz`` times the half width. So one evaluation can
+    prove a box free or blocked. Proofs hold only if the constants ``lipschitz`` are right. If clearances contradict
+    the constants, an error names constants that would fit. Invalid arguments raise ``ValueError``.
 
-    Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
-    joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of float32 or float64 are
-    allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
+    Constants follow from geometry. A distance changes no faster than the points of the robot move. A turn of a joint
+    by one radian moves a point by at most the point's distance from the joint. For the minimum of several clearances,
+    take the largest of their constants along each axis. Smaller constants prove larger boxes. Rounding errors of
+    float32 or float64 are allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
         clearance: Function of configurations ``(n, dof)`` that returns signed distances ``(n,)``, finite, in any
-            unit: at least 0 where free, negative where not, by the depth in an obstacle. It is called only within the
-            domain, with batches of varying size. If the distance is 0 inside obstacles, subtract a margin; without
-            depth, no box is proven blocked.
+            unit: at least 0 where free, else minus the depth in an obstacle. It is called only within the domain,
+            with batches of varying size. If your distance is 0 inside obstacles, subtract a margin. Then a box is
+            proven blocked only if, in this box, ``lipschitz`` lets the clearance change by less than the margin.
         lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one for all.
         motion_cost: Cost of motions; by default their Euclidean length over all axes.
 
@@ -92,10 +92,11 @@ class ClearanceSpace:
         return free
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions are proven free all the way; periodic axes take the short way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
-        A motion along which the constants ``lipschitz`` allow the clearance to change by ``c`` is proven free only if
-        the clearance stays above about ``c / 1000``. Clearances that contradict ``lipschitz`` raise ``ValueError``.
+        Along periodic axes, motions go the short way. The proof needs a clearance above about ``c / 1000`` all along
+        the motion. Here, ``c`` is the largest change of the clearance along the motion that ``lipschitz`` allows.
+        Clearances that contradict ``lipschitz`` raise ``ValueError``.
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
@@ -104,7 +105,10 @@ class ClearanceSpace:
         return free
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
-        """Tell whether boxes are FREE, BLOCKED or MIXED; ``ValueError`` if clearances contradict ``lipschitz``."""
+        """Tell whether boxes of configurations are FREE, BLOCKED or MIXED; see :class:`CellState`.
+
+        ``ValueError`` if clearances contradict ``lipschitz``.
+        """
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
         outside = ~np.array(self.domain.periodic) & ((hi < self.domain.lo) | (lo > self.domain.hi))
@@ -114,14 +118,14 @@ class ClearanceSpace:
         return state
 
     def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, " n"]:
-        # 1. The part of each box in the domain. A box that leaves the domain, by more than rounding, is not free.
+        # 1. Find the part of each box in the domain. A box that leaves the domain by more than rounding is not free.
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
         beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
         center, half = (inner_lo + inner_hi) / 2, (inner_hi - inner_lo) / 2
         clearance = self._clearances(center)
-        # 2. Check the constants against the clearance at the middle of a face: box by box along other axes, and on
-        #    the other side after each cycle of axes.
+        # 2. Check the constants against the clearance at the middle of one face per box. The face's axis changes from
+        #    box to box, and its side after each cycle of axes.
         row = np.arange(len(center))
         axis, side = row % self.domain.dim, 1 - 2 * (row // self.domain.dim % 2)
         face = center.copy()
@@ -167,7 +171,10 @@ class ClearanceSpace:
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:
-        """Return clearances at configurations moved into the domain; ``ValueError`` if one is not finite."""
+        """Return the clearances at configurations, after moving these into the domain.
+
+        ``ValueError`` if a clearance is not finite.
+        """
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
         for part in batches(np.arange(len(q)), _BATCH):
@@ -178,7 +185,7 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        # A bound of the rounding error of clearances: of their computation, and of the configurations.
+        # Return a bound of the rounding error of clearances: from their computation, and from rounded configurations.
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property
@@ -202,7 +209,10 @@ class ClearanceSpace:
 
 
 def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:
-    """Advise how to raise Lipschitz constants so that a ``change`` of the configuration explains a ``difference``."""
+    """Return advice on larger Lipschitz constants, which allow the clearance to change by ``difference``.
+
+    ``change`` is the absolute change of the configuration along each axis.
+    """
     # The constants L explain the difference if sum over axes of L * change >= difference.
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):

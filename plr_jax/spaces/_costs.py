@@ -1,4 +1,4 @@
-"""Cost maps: motion costs that depend on the place or the direction, with bounds over boxes."""
+"""Cost maps: motion costs that depend on the place or the direction, with bounds over boxes of configurations."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,11 @@ Rates: TypeAlias = Float[np.ndarray, " n"]
 
 
 def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise a ``ValueError`` with the first row that is not ``fine``: values ``got``, and their place ``at``."""
+    """Raise a ``ValueError`` about the first index at which ``fine`` is False; do nothing if there is none.
+
+    The message says what was ``expected``. At this index, it shows the values of all arrays ``got``, and the
+    configurations of all arrays ``at``: a point, or both corners of a box.
+    """
     if not fine.all():
         i = int(fine.argmin())
         values = " and ".join(str(column[i].tolist()) for column in got)
@@ -26,7 +30,7 @@ def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray],
         raise ValueError(f"{expected}, got {values} {place}.")
 
 
-# A box has pulls only if they say more than the bounds of the cost map.
+# Pulls (see `cost_bounds`) of a box are used only if they are tight enough:
 _LEAST_RATIO = 0.25  # ``least`` must exceed this share of ``most``
 _LEAST_MARGIN = 0.02  # the cost that pulls save must be below ``least`` by more than this share of ``most``
 
@@ -44,7 +48,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes.
+        """Return positive lower and finite upper bounds of the factor, ``(n,)``, over boxes from ``lo`` to ``hi``.
 
         Boxes may extend beyond the domain along periodic axes.
         """
@@ -55,10 +59,11 @@ class CostMap(Protocol):
 class DirectionalCost(CostMap, Protocol):
     """A cost of motions that depends on their direction, such as going uphill or against the wind.
 
-    A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. Over a box,
-    :meth:`pulls` returns constant vectors ``a`` and ``b``, and bounds of the rest of the cost per unit of length. As
-    a :class:`CostMap`, a call returns the cost per unit of length in the most expensive direction, while
-    :meth:`bounds` hold for all directions. The space's ``motion_cost`` must be the Euclidean length over all axes.
+    A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. For each
+    box, :meth:`pulls` returns constant vectors ``a`` and ``b``, and bounds of the remaining cost per unit of length.
+    As for every :class:`CostMap`, a call and :meth:`bounds` are about the whole cost per unit of length. A call
+    returns this cost in the most expensive direction, and :meth:`bounds` hold for all directions. The space's
+    ``motion_cost`` must be the Euclidean length over all axes.
 
     Example:
         Length plus ``rate`` times the climb, on terrain whose height has a gradient of length at most ``steepest``
@@ -76,19 +81,19 @@ class DirectionalCost(CostMap, Protocol):
                     uphill = rate * gradient((lo + hi) / 2)
                     return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
-        For the travel time of a vehicle of speed 1 in a steady current ``w``, with ``a = 1 - |w|^2`` (Zermelo),
-        ``pulls`` returns ``-w / a`` twice, ``1 / sqrt(a)`` and ``1 / a``, each for every box.
+        For the travel time of a vehicle of speed 1 in a steady current ``w``, let ``s = 1 - |w|^2`` (Zermelo). Then
+        ``pulls`` returns ``-w / s`` twice, ``1 / sqrt(s)`` and ``1 / s``, each for every box.
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
         """Bound the cost of all motions in each box, by constants for the box.
 
-        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most the same with
-        ``most``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain along periodic
-        axes.
+        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most
+        ``most * |dq| + max(a . dq, b . dq)``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend
+        beyond the domain along periodic axes.
 
-        If ``least <= most / 4`` or ``least - d <= most / 50``, pulls are too loose, and :meth:`bounds` count in this
-        box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+        If ``least <= most / 4`` or ``least - d <= most / 50``, the pulls are too loose, and :meth:`bounds` is used in
+        this box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
 
         Returns:
             The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.
@@ -107,7 +112,8 @@ class LipschitzCost:
     Args:
         cost_fn: Function from configurations ``(n, dof)`` to the positive factor of the motion cost, ``(n,)``.
         lipschitz: Largest change of the factor per unit of Euclidean distance between configurations, at least 0.
-        least: Positive lower bound of the factor everywhere, for boxes so large that the constant says nothing.
+        least: Positive lower bound of the factor everywhere. In a box where the Lipschitz constant gives no better
+            bound, this bound is used.
     """
 
     cost_fn: Callable[[np.ndarray], ArrayLike]
@@ -145,10 +151,11 @@ class LipschitzCost:
 def cost_bounds(
     motion_cost: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors
 ) -> tuple[Rates, Rates, Pulls | None]:
-    """Return lower and upper bounds of the cost factor over boxes, and for a ``DirectionalCost`` *pulls*, else None.
+    """Return lower and upper bounds of the cost factor over boxes, and pulls for a ``DirectionalCost`` (else None).
 
-    A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
-    ``dq`` with two vectors per box, the pulls, ``(2, n, dof)``.
+    The boxes have corners ``lo`` and ``hi``. *Pulls* are two vectors per box, ``(2, n, dof)``. The cost of a motion
+    ``dq`` in a box is a sum. The first term is its ``motion_cost`` times a factor within the bounds. The second term
+    is the larger of the scalar products of ``dq`` with the box's two pulls.
     """
     # 1. Bounds that hold in all directions.
     bounds = cost_map.bounds(lo, hi)
@@ -187,7 +194,11 @@ def cost_bounds(
 
 
 def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the factor of the motion cost at configurations, and the pulls of :func:`cost_bounds` or None."""
+    """Return the cost factor at each configuration, ``(n,)``, and the pulls of a ``DirectionalCost`` (else None).
+
+    *Pulls* are two vectors per configuration, ``(2, n, dof)``. A motion ``dq`` costs its ``motion_cost`` times the
+    factor, plus the larger of the scalar products of ``dq`` with the two pulls.
+    """
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -198,11 +209,14 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
 
 
 def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of straight motions from ``q`` to ``q + change``, if costs were everywhere as at ``q``."""
+    """Return the costs of straight motions from ``q`` to ``q + change``, with the cost factor and pulls at ``q``.
+
+    For the factor and pulls, see :func:`point_costs`.
+    """
     factors, pulls = point_costs(motion_cost, cost_map, q)
     return factors * motion_cost.norm(change) + pulled(pulls, change)
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
-    # The larger scalar product of a motion with its two pulls.
+    # Return, for each motion, the larger of its scalar products with its two pulls; 0 without pulls.
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

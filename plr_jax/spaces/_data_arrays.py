@@ -1,4 +1,7 @@
-"""Readers of xarray's ``DataArray`` as a raster: two dimensions, y and x, with coordinates of the cell centers."""
+"""Read xarray's ``DataArray`` as a raster of two dimensions, y and x, with coordinates of the cell centers.
+
+The functions return the raster's values, and the box that its cells fill. xarray need not be installed.
+"""
 
 import warnings
 from typing import Any
@@ -22,7 +25,10 @@ def is_data_array(raster: Any) -> bool:
 
 
 def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
-    """Return a raster as float64, with ``inf`` for cells that are masked, NaN or without data."""
+    """Return the values of a raster as float64, with ``inf`` for cells that are masked, NaN or without data.
+
+    The attributes of a ``DataArray`` name the values of cells without data.
+    """
     values = np.array(as_numbers(name, filled_with_inf(raster), "a raster of numbers"))
     if is_data_array(raster):
         for key in NO_DATA:
@@ -32,7 +38,11 @@ def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
 
 
 def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
-    """Return the box that the cells fill, and slices that order the cells by ascending coordinates."""
+    """Return the box that the cells of a ``DataArray`` fill, and the slices of its rows and columns.
+
+    An array of the raster's values, indexed by the slices, has ascending coordinates along both axes. If coordinates
+    look like degrees, a warning is issued. Error messages call the raster ``name``.
+    """
     # 1. Check the names and the units of the dimensions.
     if len(raster.dims) != 2:
         raise ValueError(f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for one.')

@@ -1,7 +1,7 @@
 """Configuration spaces of robots in a planar workspace.
 
-``PlaneSpace`` has the positions of a point or disc; ``BodySpace`` is the base of spaces of one robot. Functions test
-points, segments and Shapely shapes against the walls of a workspace.
+``PlaneSpace`` is the space of a point or disc. ``BodySpace`` is the base class of spaces of one robot. The functions
+test points, segments and Shapely shapes against the walls of a workspace.
 """
 
 from dataclasses import dataclass, field
@@ -27,9 +27,10 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, " n"]) -> Booleans:
-    """Return whether the clearance of each point, its signed distance to walls, is at most the point's radius.
+    """Return whether the clearance of each point is at most the point's radius.
 
-    For radii of at most 0, all points of free space count as farther than the radius, even if they are on a wall.
+    Clearance is the signed distance to walls, negative in obstacles. For radii of at most 0, points of free space
+    count as farther than the radius, even if they are on a wall.
     """
     # Most points are in free space and have a negative radius. For these, no distance is computed.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
@@ -38,9 +39,10 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Float[np.ndarray, "n 2"]) -> Booleans:
-    """Return whether segments ``links`` are proven to cross a wall, even if their ends move by up to ``reaches``.
+    """Return whether the segments ``links`` are proven to cross a wall, however their ends move within ``reaches``.
 
-    The second end of each link must have at least the reach of its first end.
+    ``reaches[i, k]`` is the largest distance by which end ``k`` of segment ``i`` may move. This distance must not be
+    less for end 1 than for end 0.
     """
     #         a
     #          \                  The link a b still crosses the wall p q if
@@ -72,7 +74,7 @@ def segment_distances(a: Links, b: Links) -> Float[np.ndarray, " n"]:
 
 
 def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
-    """Return whether Shapely shapes are at most a distance from walls; for distance 0, whether they touch walls."""
+    """Return whether Shapely shapes are at most ``distance`` from a wall; for 0, whether they touch a wall."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
     return np.isin(np.arange(len(shapes)), workspace.edge_tree.query(shapes, predicate="intersects")[0])
@@ -84,7 +86,10 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
-    """A base of the spaces of one robot in a workspace, which tests configurations and motions."""
+    """The base class of the configuration spaces of one robot in a workspace.
+
+    It tests whether configurations and motions are free.
+    """
 
     workspace: Workspace
     robot: Robot
@@ -98,10 +103,10 @@ class BodySpace:
         return self.are_free(q, q)
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Return whether straight motions, turning the shorter way, are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
-        The answer is exact for a point or disc. For other bodies, a turn may not be proven free if it comes nearer to
-        a wall than about 1e-7 of the robot's size.
+        Headings turn the shorter way. The answer is exact for a point or disc. For other bodies, a turn may not be
+        proven free if it comes nearer to a wall than about 1e-7 of the robot's size.
         """
         q0, q1 = as_motions(q0, q1, self.robot.dof)
         free = np.isfinite(q0 + q1).all(axis=1)
@@ -111,16 +116,17 @@ class BodySpace:
 
 @dataclass(frozen=True)
 class PlaneSpace(BodySpace):
-    """Positions of a point or disc in a workspace; the cost of a motion is its length.
+    """The configuration space of a point or disc in a workspace; the cost of a motion is its length.
 
     The robot is a PointRobot, the default, or a DiscRobot; another robot, or one that fits nowhere, raises
     ``ValueError``. A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
     ``workspace.tolerance``.
 
     The state of boxes is exact for a point. For a disc of radius ``r``, chords replace arcs around corners of
-    obstacles. So near a corner, a blocked box may be MIXED if a slightly smaller disc fits at one of its positions.
-    The radius of such a disc is smaller by at most the tolerance, plus the larger of ``0.005 * r`` and
-    ``0.0008 * (r * side**2) ** (1 / 3)``, where ``side`` is the longer side of free space.
+    obstacles. So near a corner, a blocked box may be MIXED if a slightly smaller disc fits at a position in the box.
+    The smaller disc has the radius ``r`` minus at most the sum of two terms. One is the tolerance. The other is the
+    larger of ``0.005 * r`` and ``0.0008 * (r * side**2) ** (1 / 3)``, where ``side`` is the longer side of the free
+    space.
     """
 
     robot: Robot = field(default_factory=PointRobot)
@@ -145,8 +151,9 @@ class PlaneSpace(BodySpace):
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
-        A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED. A box that touches a
-        point where obstacles touch is not FREE, since no path passes between these obstacles.
+        A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED. For a point robot
+        without ``workspace.squeeze``, no path passes between obstacles that touch in a point. Then a box that touches
+        such a point is not FREE.
         """
         center, half = as_boxes(lo, hi, 2)
         # 1. If no wall is within the radius of a box, the box is all free or all blocked, as its center is. Boxes are
@@ -165,10 +172,10 @@ class PlaneSpace(BodySpace):
         return state
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Return whether a point at ``q`` is proven to see every free position of a box; False for discs.
+        """Return whether a point robot at ``q[i]`` is proven to see every free position of box ``i``.
 
-        The free part of the box must be one polygon without holes, with ``q`` on the inner side of every edge. The
-        result is False if obstacles touch at ``q``.
+        Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. Its free part must be one polygon without holes, with ``q[i]``
+        on the inner side of every edge. The result is False if obstacles touch at ``q[i]``, and for a disc robot.
         """
         q, _ = as_motions(q, lo, 2)
         center, half = as_boxes(lo, hi, 2)
@@ -193,7 +200,10 @@ class PlaneSpace(BodySpace):
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def separated(self, q: ArrayLike) -> "tuple[PlaneSpace, PlaneSpace | None]":
-        """Divide the space into the polygons of free space that hold positions ``q``, and the rest, or None."""
+        """Divide the space in two: polygons of free space that contain a position in ``q``, and all other polygons.
+
+        Return each part as a space of its own. If one part has no polygon, return the space itself and None.
+        """
         polygons = shapely.get_parts(self._passable)
         may_squeeze = self.robot.circumscribed_radius == 0 and self.workspace.squeeze
         holds = joined_parts(polygons, as_points("q", q, 2), 2 * self.workspace.tolerance, may_squeeze)
@@ -203,7 +213,10 @@ class PlaneSpace(BodySpace):
         return _PlanePart(self.workspace, self.robot, holding), _PlanePart(self.workspace, self.robot, rest)
 
     def _touch_contacts(self, shapes: Any) -> Booleans:
-        """Return whether shapes touch a point where obstacles touch and the robot may not pass between them."""
+        """Return whether each shape touches a *contact*, a point where obstacles touch.
+
+        If the robot may pass between touching obstacles, or is a disc, the result is False.
+        """
         touch = np.zeros(len(shapes), dtype=bool)
         if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
             tree = self.workspace.boundary.contact_tree
@@ -220,7 +233,7 @@ class PlaneSpace(BodySpace):
 
 @dataclass(frozen=True)
 class _PlanePart(PlaneSpace):
-    """The positions of a PlaneSpace in some polygons of its free space, the ``region``."""
+    """A part of a :class:`PlaneSpace`, with only the polygons ``region`` of its free space."""
 
     region: Any = None
 

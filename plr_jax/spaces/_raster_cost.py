@@ -42,7 +42,7 @@ _RADIUS_ROUNDING = 1e-9  # a cell this share beyond a radius counts as within: r
 # corresponding values of the occupancy grids in which Nav2 and ROS publish cost maps.
 _MAX_COST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
 _GRID_UNKNOWN, _GRID_MAX_COST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
-_MAX_ENTRIES = 2**26  # of a sparse table (256 MiB); beyond it, large blocks need more lookups
+_MAX_ENTRIES = 2**26  # entries of a sparse table (256 MiB); a larger table lacks levels, so large blocks take longer
 _WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
@@ -62,17 +62,18 @@ class RasterCost:
     The cost map does not keep paths out of blocked cells; a space such as :meth:`space` does. A blocked cell has the
     factor of the nearest unblocked cell. Outside the bounds, the factor is that of the nearest point inside; along
     periodic axes the raster repeats. If configurations have more coordinates than the raster has axes, the leading
-    ones select the factor, which applies to turns as well. Invalid arguments raise ``ValueError``.
+    coordinates select the factor; it also applies to changes of the other coordinates. Invalid arguments raise
+    ``ValueError``.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
             blocked. An xarray ``DataArray`` of the dimensions y and x may run from north to south, and its no-data
             cells are blocked.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers. Leave
-            it out for a ``DataArray``, whose coordinates count.
+            it out for a ``DataArray``, which has coordinates.
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
-            half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts, but
-            bounds count the cells on both sides.
+            half of border cells. ``"nearest"`` is constant in each cell. On a border between cells, it takes the
+            upper cell; the method :meth:`bounds` takes both cells.
     """
 
     values: Float[np.ndarray, "..."]
@@ -179,13 +180,17 @@ class RasterCost:
         """Return a cost map with higher costs around lethal cells, as Nav2's inflation layer computes them.
 
         Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
-        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. A cell is blocked if its
-        center is at most ``inscribed_radius`` from the center of a lethal cell, even if ``inflation_radius`` is
-        smaller. So a point moves in the result's :meth:`space` where a disc of this radius moves in the map. If the
-        distance to a lethal cell is at most ``inflation_radius``, rounded up as in Nav2 to a multiple of the cells'
-        shortest side, the cost is at least ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Radii
-        and distances are in units of the bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded
-        to bytes. ``ValueError`` if an argument is negative or not finite. See
+        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. Let ``distance`` be the
+        distance from a cell's center to the center of the nearest lethal cell.
+
+        - If ``distance`` is at most ``inscribed_radius``, the cell is blocked, even if ``inflation_radius`` is
+          smaller. So a point moves in the result's :meth:`space` where a disc of this radius moves in the map.
+        - If ``distance`` is at most ``inflation_radius``, the cost is at least
+          ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. As in Nav2, ``inflation_radius`` is
+          first rounded up to a multiple of the shortest side of a cell.
+
+        Radii and distances are in units of the bounds. Costs become factors as in :meth:`from_costmap`, but are not
+        rounded to bytes. ``ValueError`` if an argument is negative or not finite. See
         https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)
@@ -219,11 +224,18 @@ class RasterCost:
         return np.isfinite(self.values)
 
     def space(self, radius: float | int = 0.0) -> VoxelSpace:
-        """Return the space of a point, or of a ball of a radius in units of the bounds, among cells not blocked."""
+        """Return the configuration space of a point or ball among the blocked cells.
+
+        ``radius`` is in units of the bounds; 0 is a point.
+        """
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor of the motion cost, ``(n,)``; NaN where one of the leading coordinates is not finite."""
+        """Return the factor of the motion cost at configurations ``(n, dof)``, ``(n,)``.
+
+        Only the leading coordinates count, one for each axis of the raster. The factor is NaN if one of the leading
+        coordinates is not finite.
+        """
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         finite = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -237,10 +249,11 @@ class RasterCost:
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
         """Return bounds of the factor of the motion cost over closed boxes, which may extend beyond the raster.
 
-        With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
-        are exact if the box meets at most three intervals between cell centers along each axis; over larger boxes
-        they are the extremes over all cells whose centers surround the box. Bounds are rounded outward; extremes
-        over many cells to float32. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
+        With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, the
+        bounds are exact if the box meets at most three intervals between cell centers along each axis. Over larger
+        boxes, they are the extremes over all cells whose centers surround the box. Bounds are rounded outward;
+        extremes over many cells are also rounded to float32. Corners, ``(n, dof)``, must be finite with ``hi``
+        nowhere below ``lo``.
         """
         lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)
         as_boxes(lo, hi, self.dim)
@@ -320,7 +333,7 @@ class RasterCost:
         return (self.domain.width / self._sizes)[::-1]
 
     def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
-        """Tile an array three times along periodic axes; also return the slices of the middle copy."""
+        """Return an array with ``cells`` three times along each periodic axis, and the slices of the middle copy."""
         wraps = self.domain.periodic[::-1]
         sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
         middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
@@ -359,8 +372,9 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 class SparseTable:
     """A table to look up the smallest and largest entry of any block of an array, as float32 rounded outward.
 
-    Level ``k`` has the extremes of all windows whose side is ``2**k``, or the whole axis if that is shorter. Windows
-    of the largest level that fits into a block cover the block; they may overlap, which does not change extremes::
+    Level ``k`` has the extremes of all windows whose side is ``2**k``, or the whole axis if that is shorter. A block
+    is covered by windows of the largest level that fits into it. Windows may overlap, which does not change
+    extremes::
 
         block     |-----------|
         windows   |-------|
@@ -373,7 +387,11 @@ class SparseTable:
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """Return the least and largest entry of blocks, given by first and last indices, rounded outward."""
+        """Return the least and the largest entry of each block, ``(n,)`` each.
+
+        Block ``i`` has the indices from ``first[i]`` to ``last[i]``, both included, along each axis. Results may be
+        rounded outward to float32.
+        """
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         # The number of levels after the first one whose windows fit is the largest such level.

@@ -28,12 +28,13 @@ Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
 
 @dataclass(frozen=True)
 class RigidBodySpace(BodySpace):
-    """Positions and headings of a rigid body in a workspace; a motion costs its length plus its weighted turn.
+    """The configuration space of a rigid body in a workspace; a motion costs its length plus its weighted turn.
 
     A configuration is free if the body overlaps neither obstacles nor the outside of the bounds, up to
-    ``workspace.tolerance``. Headings count modulo a full turn. Classification of boxes is conservative, and tighter
-    for smaller boxes. The robot must have a heading, as a RectangleRobot or a PolygonRobot, else ``ValueError``. A
-    turn by one radian costs ``rotation_weight`` workspace units, positive, by default the circumscribed radius.
+    ``workspace.tolerance``. Headings count modulo a full turn. Classification of boxes is conservative (MIXED if in
+    doubt), and tighter for smaller boxes. The robot must have a heading, as a RectangleRobot or a PolygonRobot, else
+    ``ValueError``. A turn by one radian costs ``rotation_weight`` workspace units, positive, by default the robot's
+    circumscribed radius.
     """
 
     rotation_weight: float | int | None = None
@@ -60,9 +61,11 @@ class RigidBodySpace(BodySpace):
         return MotionCost((((0, 1), 1.0), ((2,), weight)))
 
     def separated(self, q: ArrayLike) -> "tuple[RigidBodySpace, RigidBodySpace | None]":
-        """Return the space of the polygons of free space that contain the body at ``q``, and that of other polygons.
+        """Divide the space in two by the polygons of free space.
 
-        The second is None if there are no other polygons, or if the body might pass between touching obstacles.
+        The first part has the polygons that contain the body at a configuration in ``q``, the second part has all
+        other polygons. Return each part as a space of its own. If one part has no polygon, or the body might pass
+        between obstacles that touch, return the space itself and None.
         """
         parts, rest = PlaneSpace(self.workspace).separated(np.asarray(q)[:, :2])
         # A segment may pass lengthwise where obstacles touch. A reference point that is outside the body, by
@@ -87,13 +90,16 @@ class RigidBodySpace(BodySpace):
         unsure = np.flatnonzero(~has_room)
         for part in batches(unsure, max(1, _POINTS // (8 * len(self.robot.core) + 4))):
             state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
-        # 3. The rest may be blocked.
+        # 3. Other boxes are blocked or MIXED.
         unsure = unsure[state[unsure] == CellState.MIXED]
         state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return which boxes of positions and headings are proven free."""
+        """Return whether each box of positions and headings is proven free.
+
+        The boxes reach from ``center - half`` to ``center + half``.
+        """
         # 1. A box is free if its center is in free space, and no wall meets a connected set that contains the center
         #    and all that the body covers. Where headings change much, this set has all points within the
         #    circumscribed radius of a position.
@@ -123,7 +129,10 @@ class RigidBodySpace(BodySpace):
         return free
 
     def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return which boxes of positions and headings surely hold no free configuration."""
+        """Return whether each box of positions and headings is proven to hold no free configuration.
+
+        The boxes reach from ``center - half`` to ``center + half``.
+        """
         # 1. A box is not blocked if its center is free.
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
@@ -150,7 +159,10 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """A point deep inside the polygon ``robot.core``, and the point's distance to the polygon's sides."""
+        """A point deep inside the polygon ``robot.core``, and its distance to the nearest side of the polygon.
+
+        If the core is a point or a segment, the point is the core's middle, and the distance is 0.
+        """
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
@@ -160,7 +172,10 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, " probes"]]:
-        """Points of the body, and the radius of a disc around each point that is inside the body."""
+        """Points of the body, relative to its reference point at heading 0, and for each the radius of a disc.
+
+        The disc around the point lies in the body.
+        """
         core, rounding = self.robot.core, self.robot.rounding
         middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
@@ -171,14 +186,21 @@ class RigidBodySpace(BodySpace):
 
 
 def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, " n"]:
-    """Bound how far a body's point, ``radius`` from its reference point, moves in boxes of these half widths."""
+    """Return how far a point of a body moves at most, ``(n,)``, while the configuration stays in a box.
+
+    Motion is measured from the point's workspace position when the configuration is the box's center. The point is at
+    distance ``radius`` from the body's reference point. ``half`` has the half widths of the boxes.
+    """
     # The reference point moves by at most half a diagonal, and a turn by h moves the point by the chord
     # 2 * radius * sin(h / 2).
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Float[np.ndarray, " n"] | float = 0.0) -> Float[np.ndarray, "n k 2"]:
-    """Return the positions of a body's points at configurations ``q``, with headings increased by ``turn``."""
+    """Return the workspace positions of a body's ``points`` at configurations ``q`` whose headings grow by ``turn``.
+
+    ``points`` are relative to the reference point at heading 0; ``turn`` is in radians.
+    """
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]
     return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

@@ -1,4 +1,4 @@
-"""Protocols of configuration spaces: a domain, the cost of a motion, and tests of what is free."""
+"""Protocols of configuration spaces: the domain, the cost of a motion, and tests of which configurations are free."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class MotionCost:
     blocks: tuple[tuple[tuple[int, ...], float], ...]
 
     def __init__(self, blocks: Any):
-        # 1. Pairs of axes and a weight. Anything else fails the next test.
+        # 1. Read the pairs of axes and a weight. Any other value becomes a pair that fails the next test.
         try:
             pairs = [(tuple(axes), weight) for axes, weight in blocks]
         except (TypeError, ValueError):
@@ -51,7 +51,7 @@ class MotionCost:
         if not are_integers or not all(axes for axes, _ in pairs):
             expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
             raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
-        # 2. Each axis once, and positive weights.
+        # 2. Check that each axis occurs once, and that weights are positive.
         if not listed or sorted(listed) != list(range(len(listed))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
         weight_of = partial(as_finite, "The weight of a block", positive=True)
@@ -91,8 +91,8 @@ class MotionCost:
 class FreeTest(Protocol):
     """The minimal configuration space: which configurations are free, and what motions cost.
 
-    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. Methods raise
-    ``ValueError`` if arrays have a wrong shape or different lengths.
+    A :class:`FreeTest` suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. Methods
+    raise ``ValueError`` if arrays have a wrong shape or different lengths.
     """
 
     @property
@@ -106,7 +106,7 @@ class FreeTest(Protocol):
         ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return whether configurations ``(n, dof)`` are free; False for those that are not finite."""
+        """Return whether configurations ``(n, dof)`` are free; False for configurations that are not finite."""
         ...
 
 
@@ -114,34 +114,39 @@ class FreeTest(Protocol):
 class ConfigurationSpace(FreeTest, Protocol):
     """A configuration space that can prove that whole boxes and straight motions are free.
 
-    Both tests are conservative, including rounding errors. The free configurations form a closed set: touching an
-    obstacle is free. Methods raise ``ValueError`` if a box has corners that are not finite, or ``hi`` below ``lo``.
+    The answers FREE, BLOCKED and True are proven, also against rounding errors. The free configurations form a closed
+    set: touching an obstacle is free. Methods raise ``ValueError`` if a box has corners that are not finite, or has
+    ``hi`` below ``lo``.
     """
 
     def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, " n"]:
-        """Return the :class:`CellState`, ``(n,)``, of boxes with corners ``(n, dof)``, which may leave the domain."""
+        """Return the :class:`CellState` of each box, ``(n,)``.
+
+        ``lo`` and ``hi`` are the boxes' corners, ``(n, dof)``. Boxes may extend beyond the domain.
+        """
         ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return whether straight motions between configurations ``(n, dof)`` are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1``, ``(n, dof)``, are proven free all the way.
 
         All axes change in proportion. Periodic axes take the short way; at exactly half a period, the space chooses
-        one of both ways. The result is False where an end is not finite.
+        one of the two ways. The result is False where an end is not finite.
         """
         ...
 
 
 @runtime_checkable
 class Separable(Protocol):
-    """A configuration space that knows which of its configurations no path joins.
+    """A configuration space that can tell which configurations are disconnected from given configurations.
 
-    With it, rooms that are cut off from the goal count as obstacles.
+    Solvers use this to treat rooms that are cut off from the goal as obstacles.
     """
 
     def separated(self, q: ArrayLike, /) -> tuple[ConfigurationSpace, ConfigurationSpace | None]:
-        """Divide the space into the part that paths join to some of the configurations ``q``, and the rest.
+        """Divide the space into a part that may be connected to a configuration of ``q``, and a disconnected part.
 
-        Configurations of the other part count as BLOCKED in each. The rest is None if it is empty.
+        Each part is a space of its own, in which configurations of the other part count as BLOCKED. The second part
+        is None if it is empty.
         """
         ...
 
@@ -150,16 +155,20 @@ class Separable(Protocol):
 class SeesBoxes(Protocol):
     """A configuration space that can prove that a point sees every free configuration of a box.
 
-    With it, upper bounds of distances also hold in MIXED boxes next to walls.
+    Solvers use it to prove upper bounds of distances in MIXED boxes next to walls.
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, " n"]:
-        """Return, by row, whether straight motions to ``q`` from all free configurations of a box are proven free."""
+        """Return whether the configuration ``q[i]`` is proven to see every free configuration of box ``i``.
+
+        Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. To see a configuration means that the straight motion from it
+        to ``q[i]`` is free.
+        """
         ...
 
 
 def batches(rows: Int[np.ndarray, " n"], size: int) -> Iterator[Int[np.ndarray, " _"]]:
-    """Yield consecutive batches of at most ``size`` rows; no batch if there are no rows."""
+    """Yield consecutive slices of ``rows``, with at most ``size`` entries each; nothing if ``rows`` is empty."""
     return (rows[begin : begin + size] for begin in range(0, len(rows), size))
 
 
@@ -172,7 +181,7 @@ def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, 
 
 
 def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
-    """Check the corners of boxes and return centers and half widths, ``(n, dof)`` each."""
+    """Check the lower and upper corners of boxes, and return their centers and half widths, ``(n, dof)`` each."""
     lo, hi = as_points("lo", lo, dof), as_points("hi", hi, dof)
     if len(lo) != len(hi):
         raise ValueError(f"Boxes need as many lower corners as upper ones, got {len(lo)} and {len(hi)}.")
@@ -193,13 +202,13 @@ def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, " n"]:
 
 
 def precision_of(numbers: ArrayLike) -> float:
-    """Return the relative precision of numbers: 2**-23 for float32, 2**-7 for types of 2 bytes, else 2**-52."""
+    """Return the relative precision of an array's type: 2**-23 for 4-byte numbers, 2**-7 for 2-byte, else 2**-52."""
     return {2: 2.0**-7, 4: 2.0**-23}.get(np.asarray(numbers).dtype.itemsize, 2.0**-52)
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A base of spaces made from a space that only tests configurations; it checks the answers of this test."""
+    """A base class of spaces that wrap a :class:`FreeTest`; it checks the answers of the wrapped ``is_free``."""
 
     space: FreeTest
 
@@ -216,7 +225,7 @@ class CheckedSpace:
 
 
 def require_space(space: object) -> None:
-    """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose domain and motion cost agree."""
+    """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose motion cost fits its domain."""
     if isinstance(space, type) or not isinstance(space, FreeTest):
         raise ValueError(
             "space must be a configuration space with a domain, a motion_cost and is_free, such as "

@@ -17,21 +17,22 @@ from plr_jax.geometry.voxels import VoxelGrid
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Booleans = Bool[np.ndarray, "n"]
-_LEAST_RADIUS = 1e3  # of a ball, in tolerances
+_LEAST_RADIUS = 1e3  # smallest radius of a ball, in tolerances
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class VoxelSpace:
-    """Positions of a point or ball among voxels; the cost of a motion is its length.
+    """The configuration space of a point or ball among voxels; the cost of a motion is its length.
 
     With default bounds, voxel ``[i, j, k]`` fills ``[i, i + 1] x [j, j + 1] x [k, k + 1]``: array axes are coordinate
-    axes, in order. (In :class:`Workspace.from_mask`, as in pictures, rows are ``y``.) A position is free if the robot
-    overlaps neither blocked voxels nor the outside of the bounds; it may touch them. A point cannot pass between two
-    blocked voxels that share only an edge or corner: free voxels are connected through faces, as in the plane.
+    axes, in order. (In :meth:`Workspace.from_mask`, as in pictures, rows are ``y``.)
 
-    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``, and a box that is
-    blocked for a ball may be MIXED if no single voxel is too near to all of it. ``ValueError`` if an argument is
-    invalid, no voxel is free, or voxels are too small for the precision of coordinates.
+    A position is free if the robot overlaps neither blocked voxels nor the outside of the bounds; it may touch both.
+    A point cannot pass between two blocked voxels that share only an edge or corner: free voxels are connected
+    through faces. For a point, all answers are exact. A ball may come nearer to blocked voxels than its radius, by
+    the ``tolerance``. For a ball, a box of positions is proven blocked only if one blocked voxel is too near to all
+    positions in the box. All other blocked boxes are MIXED. ``ValueError`` is raised if an argument is invalid, no
+    voxel is free, or voxels are too small for the precision of coordinates.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
@@ -59,7 +60,7 @@ class VoxelSpace:
 
     @property
     def free(self) -> Bool[np.ndarray, "..."]:
-        """Boolean array of the free voxels, read-only."""
+        """Whether each voxel is free: a read-only boolean array."""
         return self.grid.free
 
     @property
@@ -74,7 +75,7 @@ class VoxelSpace:
 
     @property
     def tolerance(self) -> float:
-        """Distance by which a ball may come nearer than its radius, in units of the bounds."""
+        """Distance by which a ball may come nearer to blocked voxels than its radius, in units of the bounds."""
         return rounding_of(self.domain)
 
     def is_free(self, q: ArrayLike) -> Booleans:
@@ -96,7 +97,7 @@ class VoxelSpace:
         between these voxels. A box without extent along an axis, in a face of a blocked voxel, is not FREE either.
         """
         as_boxes(lo, hi, self.grid.dim)
-        # 1. The range of voxels whose interior a box meets: above its lower corner, below its upper corner.
+        # 1. Find the range of voxels whose interior a box meets: above its lower corner, below its upper corner.
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
         _, above = self.grid.numbers(lo)
         below, _ = self.grid.numbers(hi)
@@ -105,7 +106,7 @@ class VoxelSpace:
         state = np.full(len(num), CellState.MIXED, np.int8)
         state[num_blocked == num] = CellState.BLOCKED
         free = np.flatnonzero(num_blocked == 0)
-        # 2. For a point, these counts decide, but for contacts of blocked voxels.
+        # 2. For a point, these counts decide, except at contacts: edges or corners where blocked voxels touch.
         if self.radius == 0:
             state[free[~self.grid.touches_contact(lo[:, free], hi[:, free])]] = CellState.FREE
             return state
@@ -118,7 +119,7 @@ class VoxelSpace:
         return state
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
-        """Return whether straight motions are proven free all the way.
+        """Return whether straight motions from ``q0`` to ``q1`` are proven free all the way.
 
         A point may change from one free voxel to another only through faces. A motion within faces or along edges of
         voxels is free if a path through the voxels beside it is free.
@@ -133,40 +134,43 @@ class VoxelSpace:
         return free
 
     def separated(self, q: ArrayLike) -> "tuple[VoxelSpace, VoxelSpace | None]":
-        """Return the space of free voxels that faces join to positions ``q``, and the space of other free voxels.
+        """Divide the space in two by the free voxels.
 
-        The second is None if there are no other free voxels, or if no voxel is joined to ``q``.
+        The first part has the free voxels that are connected through faces to a position in ``q``, the second part
+        has all other free voxels. Return each part as a space of its own. If one part has no voxel, return the space
+        itself and None.
         """
-        # 1. The regions of all free voxels that contain a position: 2**dim voxels, some equal, around each position.
+        # 1. Find the regions of all free voxels that contain a position: 2**dim voxels, some equal, per position.
         labeled: Any = ndimage.label(self.grid.padded)
         region = labeled[0]
         below, above = self.grid.numbers(as_points("q", q, self.grid.dim).T)
         voxels = (np.where(ends, above.T, below.T) for ends in product((False, True), repeat=self.grid.dim))
         regions = [region[tuple(voxel.T)] for voxel in voxels]
-        # 2. The free voxels of these regions; 0 is the region of blocked voxels.
+        # 2. Take the free voxels of these regions; 0 is the region of blocked voxels.
         is_joined = np.isin(region, np.setdiff1d(regions, 0))[(slice(1, -1),) * self.grid.dim]
         if not is_joined.any() or not (rest := self.free & ~is_joined).any():
             return self, None
         return VoxelSpace(is_joined, self.domain, self.radius), VoxelSpace(rest, self.domain, self.radius)
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
-        """Return whether a point at ``q`` is proven to see every free position of a box; False for balls.
+        """Return whether a point robot at ``q[i]`` is proven to see every free position of box ``i``.
 
-        The free voxels that the box touches must fill a box of their own. ``q`` must lie in that box and in the given
-        box, but not on an edge or corner where blocked voxels touch.
+        Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. The free voxels that it touches must fill a box, too. ``q[i]``
+        must lie in both boxes, but not on an edge or corner where blocked voxels touch. The result is False for a
+        ball robot.
         """
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:
             return np.zeros(len(q), bool)
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
-        # 1. The free voxels that the box touches fill a box: their range has no blocked voxel.
+        # 1. The free voxels that the box touches must fill a box: their range has no blocked voxel.
         first, last = self.grid.free_range(self.grid.numbers(lo)[0], self.grid.numbers(hi)[1])
         sees = np.all(first <= last, axis=0) & (self.grid.num_blocked(first, last) == 0)
-        # 2. The point lies in that range and in the given box: voxel k has the faces number k and k + 1.
+        # 2. The point must lie in that range and in the given box: voxel k has the faces number k and k + 1.
         for axis, faces in enumerate(self.grid.faces):
             sees &= np.maximum(lo[axis], faces[first[axis]]) <= q[:, axis]
             sees &= q[:, axis] <= np.minimum(hi[axis], faces[last[axis] + 1])
-        # 3. It does not lie on a contact.
+        # 3. The point must not lie on a contact.
         rows = np.flatnonzero(sees & np.isfinite(q).all(axis=1))
         sees[:] = False
         sees[rows] = ~self.grid.touches_contact(q[rows].T, q[rows].T)

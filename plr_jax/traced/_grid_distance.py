@@ -25,9 +25,9 @@ Moves = Literal["any-angle", 4, 8]
 class GridDistance:
     """The distance from any point of a grid to a goal, made by :func:`grid_distance`; a pytree of arrays.
 
-    All distances are NaN if ``is_complete`` is false (the map has more than ``max_corners`` corners where paths may
-    bend) or ``is_nan`` is true (a coordinate of the goal is NaN). Shapes of arrays depend only on the ``shape`` of
-    the grid, ``(rows, columns)``, on ``moves`` and ``max_corners``.
+    ``is_complete`` is false if the map has more than ``max_corners`` corners where paths may bend. ``is_nan`` is true
+    if a coordinate of the goal is NaN. In both cases, all distances are NaN. The shapes of the arrays depend only on
+    the ``shape`` of the grid, ``(rows, columns)``, on ``moves`` and on ``max_corners``.
     """
 
     paths: Steps | CornerPaths
@@ -42,11 +42,12 @@ class GridDistance:
         return _cells(self)
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances ``(...)`` in cell sides from points ``(x, y)``, ``(..., 2)``, to the goal.
+        """Return the distance from each point to the goal, ``(...)``, in cell sides.
 
-        They are ``inf`` with gradient 0 outside the grid, inside blocked cells and where no path exists. They are NaN
-        where a coordinate of the point or goal is NaN, and if ``is_complete`` is false. ``ValueError`` if points are
-        not real. Points of an integer type are corners of cells, and give a ``UserWarning``.
+        ``x`` has rows ``(x, y)``, ``(..., 2)``. Distances are ``inf`` with gradient 0 outside the grid, inside
+        blocked cells and where no path exists. They are NaN where a coordinate of the point or goal is NaN, and if
+        ``is_complete`` is false. ``ValueError`` if points are not real. Points of an integer type are corners of
+        cells, and give a ``UserWarning``.
         """
         _require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
         return _distance(self, *_as_floats(x=_as_points("x", x)))
@@ -63,9 +64,10 @@ class GridDistances:
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return distances between points ``x`` and the points ``y`` at the same index; see :class:`GridDistance`.
+        """Return the distance between each point of ``x`` and the point of ``y`` at the same index, in cell sides.
 
-        Points ``(x, y)`` are ``(..., 2)``, real; their leading axes broadcast, else ``ValueError``.
+        Both arrays are real, ``(..., 2)``, with rows ``(x, y)``. Their leading axes must broadcast, else
+        ``ValueError``. Distances are ``inf`` or NaN as for :class:`GridDistance`.
         """
         _require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
         x, y = _as_points("x", x), _as_points("y", y)
@@ -92,27 +94,33 @@ def grid_distance(
         field = plr_jax.grid_distance(free, goal)
         field(x)  # distances (n,) to the goal from points x, (n, 2)
 
-    Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
-    ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers
-    ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked. A point on a boundary
-    between cells counts as free if one of them is. The center of cell ``[i, j]`` is ``(j + 0.5, i + 0.5)``; integer
-    points are corners of cells, and give a ``UserWarning``. Invalid arguments raise ``ValueError``, also in tracing.
+    Maps and goals may be created inside ``jax.jit`` and batched by ``jax.vmap``. Any-angle distances have gradients
+    with respect to points and goal; for ``moves`` of 4 or 8, gradients are 0.
 
-    If the agent moves between neighboring cells, ``moves=4`` or ``moves=8`` is several times faster. If it stands on
-    cell centers, compute ``field.cells`` once and index ``cells[row, column]``: faster than ``field(x)`` in each
-    step.
+    Cell ``[i, j]`` covers ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked.
+    A point on a boundary between cells counts as free if one of the cells is free. The center of cell ``[i, j]`` is
+    ``(j + 0.5, i + 0.5)``. Integer points are corners of cells, and give a ``UserWarning``. Invalid arguments raise
+    ``ValueError``, also in tracing.
+
+    If the agent moves between neighboring cells, ``moves=4`` or ``moves=8`` is several times faster than any-angle
+    paths. If the agent stands on cell centers, compute ``field.cells`` once and index ``cells[row, column]``. This is
+    faster than to call ``field(x)`` in each step.
 
     Args:
         free: Which cells are free, booleans ``(h, w)``.
         goal: Goal ``(x, y)``, ``(2,)``. None: the result is a :class:`GridDistances`, of pairs of points.
-        moves: Kind of paths. ``"any-angle"``: all paths outside blocked cells; they may touch walls, but not pass
-            between two blocked cells that share only a corner. These are the distances of ``VisibilityGraph`` in
-            ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells that share a side, from the point's
-            cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
-        max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Maps with
-            more give NaN and ``is_complete`` false. Time and memory grow with the square; without a goal, time with
-            the cube. At most 4,096. Default: the number of cell corners inside the grid, ``(h - 1) * (w - 1)``, if
-            it is at most 256 (17 x 17 cells), else half of it.
+        moves: Kind of paths.
+
+            - ``"any-angle"``: all paths outside blocked cells. They may touch walls, but not pass between two blocked
+              cells that share only a corner. Distances are those of ``VisibilityGraph`` in
+              ``Workspace.from_mask(free, tolerance=0)``.
+            - 4: steps between cells that share a side, from the point's cell to the goal's cell.
+            - 8: also diagonal steps, of length sqrt(2), if both cells beside the step are free.
+        max_corners: For any-angle paths only: the largest number of convex corners of blocked cells, where paths can
+            bend. Maps with more corners give NaN, and ``is_complete`` is false. Time and memory grow with the square
+            of this number; without a goal, time grows with its cube. It is at most 4,096. Default: the number of
+            cell corners inside the grid, ``(h - 1) * (w - 1)``, if this is at most 256 (17 x 17 cells), else half
+            of this number.
     """
     mask = _as_mask(free)
     h, w = mask.shape

@@ -1,9 +1,9 @@
-"""Any-angle shortest paths on a grid that JAX may trace; they bend only at convex corners of blocked cells.
+"""Any-angle shortest paths on a grid that JAX may trace; paths bend only at convex corners of blocked cells.
 
-Segments run between points inside free cells, at a :func:`margin` from the cells' sides. In each row of cells, the
-part of a segment inside the row is extended along the row by a fourth of this margin at both ends. So a segment that
-grazes a corner may count as blocked; a path that bends at this corner is equally long. Cells are bits of words, so a
-whole grid row is tested at once.
+A segment of a path is tested against blocked cells row by row. Its ends are first moved into free cells, to a
+:func:`margin` from the cells' sides. The part of the segment inside a row of cells is extended along the row by a
+fourth of this margin at both ends. So a segment that grazes a corner may count as blocked; the path that bends at
+this corner is equally long. Cells are bits of words, so that all cells of a row are tested at once.
 """
 
 from collections.abc import Iterator
@@ -20,8 +20,8 @@ from plr_jax._compiled import pytree
 from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
-# Each end of a segment, a point, as two points inside free cells: the point moved into the first free cell, and into
-# the last one, of up to four cells around it. They are equal for a point with one free cell around it.
+# Each point, as the end of a segment, is stored as two points inside free cells: moved into the first, and into the
+# last free one of up to four cells around it. Both are equal for a point with one free cell around it.
 #      |         A segment from x to the right begins at the last point, a segment to the left at the first one
 #    . x .       (`_end_facing`). So it begins in a free cell, and does not cross the border on which x lies.
 #      |
@@ -34,12 +34,19 @@ MAX_LATTICE = 2**8
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return how far points that are moved into a cell stay from its sides: 32 rounding errors of a coordinate."""
+    """Return how far points that are moved into a cell stay from the cell's sides, in cell sides.
+
+    The margin is 32 rounding errors, of type ``dtype``, of the largest coordinate in a grid of the given ``shape``.
+    """
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point as it lies in the first and the last free cell around it, and whether any cell is free."""
+    """Move each point into two free cells around it: the first and the last of up to four cells.
+
+    Both cells are the same if only one is free. Return the moved points, ``(..., 2, 2)``, and whether the point is in
+    the grid and has a free cell around it.
+    """
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -49,7 +56,10 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
-    """Return whether segments between points inside free cells cross none of the ``blocked`` cells (packed bits)."""
+    """Return whether each segment from ``a`` to ``b`` crosses no cell of ``blocked``, a grid packed by :func:`pack`.
+
+    The ends must be inside of cells, as :func:`inside_free_cells` returns them.
+    """
     # In each row of cells, a segment crosses the columns from `first` to `last`. In a word of 32 columns these are
     # the bits from `begin` to `end`: all ones shifted up to `begin`, and those shifted down to `end`.
     #   begin = 2, end = 5:   ...11111100 & ...00111111 = ...00111100
@@ -69,9 +79,10 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield, for each row, the first and the last column of each segment, and whether the segment meets the row.
+    """Yield, for each row of cells, the first and the last column of each segment, and whether it meets the row.
 
-    The part of a segment in the row is extended by ``slack`` columns at both ends. ``xp`` is NumPy or ``jax.numpy``.
+    Segments lead from ``a`` to ``b``. The part of a segment in the row is extended by ``slack`` columns at both ends.
+    ``xp`` is NumPy or ``jax.numpy``.
     """
     # The segment is at y0 + t * dy, with t from 0 to 1. It crosses the line below row k at t = (k - y0) / dy, clipped
     # to [0, 1]: equal values at both lines of a row mean that the segment misses the row. A segment that goes down
@@ -93,7 +104,11 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 
 
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, " words"]) -> Bool[Array, "n m"]:
-    """Return which segments cross no blocked cell, by a table of :func:`crossed_cells`."""
+    """Return which of ``n x m`` segments cross no blocked cell.
+
+    ``table`` has the cells that each segment crosses, as packed bits (see :func:`crossed_cells`); ``blocked`` has the
+    blocked cells in the same form.
+    """
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
@@ -115,14 +130,17 @@ def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
 
 @lru_cache(maxsize=16)
 def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
-    """Return the cells, as bits, that segments cross between corners inside the grid, or from cell centers to them.
+    """Return a table of the cells that segments cross, as packed bits.
 
-    A segment through another corner crosses all four cells there: if one is blocked, the segments to that corner
-    and on are as long. A segment along a grid line runs on the left of the line: two corners see each other if the
-    segment in one of both directions is free.
+    The segments end at each inner corner of the grid (see :func:`lattice`). They start at each inner corner, or with
+    ``from_centers`` at each cell's center.
 
-    The result has the bits of :func:`pack` for all cells, row by row: cell ``row * columns + column`` is bit ``i`` of
-    word ``w`` if this number is ``32 * w + i``.
+    A segment through a third corner counts as crossing all four cells there. If one of these cells is blocked, a path
+    that bends at this corner is equally long. A segment along a grid line counts as crossing only the cells on its
+    left. So two corners on the line see each other if the segment is free in one of its two directions.
+
+    Number the cells row by row, ``row * columns + column``. Cell ``32 * w + i`` is bit ``i`` of the word at
+    ``[w, start, end]``.
     """
     # The ends move towards each other by a small share, the nudge, of the segment's length:
     #   +---+---b---+       The cells below and left of a, and above and right of b, do not count as crossed. A corner
@@ -148,7 +166,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    # The one of two ends (see `Ends`) that lies towards x.
+    # Return the end, of each pair of `Ends`, that lies towards x.
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -159,7 +177,7 @@ class Corners:
     """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend."""
 
     free: Bool[Array, "*maps h w"]  # padded to two rows and columns or more
-    index: Int32[Array, "*maps corners"]  # number of a point of :func:`lattice`
+    index: Int32[Array, "*maps corners"]  # index of each corner in :func:`lattice`
     is_convex: Bool[Array, "*maps corners"]  # False for padding
 
     @property
@@ -172,7 +190,7 @@ class Corners:
         return corners if self._is_lattice else corners[self.index]
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
-        """Return, for each corner, a point close to it in the cell opposite to the blocked one."""
+        """Return, for each corner, a point close to it in the cell opposite to the blocked cell."""
         #   +---+---+    A corner (o) with one blocked cell (#) around it. Along each axis, blocked cells before it
         #   |   | x |    minus blocked cells after it, summed over both rows or columns, are 1 or -1: the direction
         #   +---o---+    `away` from the blocked cell to x. Here both are 1. Corners that are not convex may have the
@@ -185,13 +203,16 @@ class Corners:
         return self.points(dtype) + margin(self.free.shape, dtype) * away.astype(dtype)
 
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, " n"]:
-        # Whether the straight segment between each pair of points is free.
+        # Return whether the straight segment between each pair of points is free.
         return is_unobstructed(
             pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which convex corners are visible from points; ``ends`` come from :func:`inside_free_cells`."""
+        """Return which corners each point sees, ``(n, corners)``; only entries of convex corners have a meaning.
+
+        ``ends`` are the points as :func:`inside_free_cells` returns them.
+        """
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
@@ -218,7 +239,7 @@ class Corners:
 
 
 def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
-    """Return up to ``count`` convex corners of blocked cells, and whether there are no more."""
+    """Return up to ``count`` convex corners of blocked cells, and whether these are all convex corners of the map."""
     # Pad to at least two rows and columns, so that there is a lattice corner; cells beyond the grid are blocked.
     free = jnp.pad(free, ((0, int(free.shape[0] == 1)), (0, int(free.shape[1] == 1))))
     around = jnp.stack([free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]]).reshape(4, -1)
@@ -238,10 +259,11 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
-    """Return each corner's distance to the goal, from lengths between corners and of straight segments to the goal.
+    """Return the distance of each corner to the goal, along straight segments between corners.
 
-    ``straight`` is ``inf`` for a corner that does not see the goal. The gradient with respect to ``lengths`` is 0:
-    they depend on the map alone.
+    ``lengths[i, j]`` is the length of the segment between corners ``i`` and ``j``. ``straight[i]`` is the length of
+    the segment between corner ``i`` and the goal. Both are ``inf`` if the segment is not free. The gradient with
+    respect to ``lengths`` is 0, since lengths between corners depend on the map alone.
     """
 
     # The Bellman-Ford algorithm, for all corners at once: a round extends paths by one corner.
@@ -268,7 +290,10 @@ def _(primals, tangents):
 
 @pytree
 class CornerPaths:
-    """The shortest paths to one goal: distances of points, by way of convex corners."""
+    """Shortest paths to one goal, by way of convex corners.
+
+    The fields are the corners, the distance of each corner to the goal, and the goal.
+    """
 
     corners: Corners
     distances: Float[Array, "*maps corners"]  # from convex corners to the goal
@@ -283,7 +308,7 @@ class CornerPaths:
         return cls(corners, relax_from_seen(lengths, straight), goal)
 
     def cells(self) -> Float[Array, "h w"]:
-        # The distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
+        # Return the distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
         return self._distance(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
 
@@ -292,8 +317,8 @@ class CornerPaths:
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
     def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
-        # The distance of points that see the corners `seen`: the least of the straight segment to the goal, and of
-        # the paths through each visible corner.
+        # Return the distance of points that see the corners `seen`: the least length of the straight segment to the
+        # goal, and of the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
@@ -307,7 +332,10 @@ class CornerPaths:
 
 @pytree
 class CornerPairs:
-    """The shortest paths between any two points, by way of convex corners."""
+    """Shortest paths between any two points, by way of convex corners.
+
+    The fields are the corners and the distances between corners.
+    """
 
     corners: Corners
     between: Float[Array, "*maps corners corners"]  # shortest paths between corners; 0 from a corner to itself
@@ -334,13 +362,13 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    # The lengths of segments; inf where the ends do not see each other.
+    # Return the lengths of segments; inf where the ends do not see each other.
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 
 @jax.custom_jvp
 def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
-    """Return the minimum of ``first + onward`` over the last axis; its gradient is the gradient of one minimizer."""
+    """Return the minimum of ``first + onward`` over the last axis; its gradient is that of one minimizing entry."""
     return jnp.min(first + onward, axis=-1)
 
 

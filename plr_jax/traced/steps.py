@@ -20,32 +20,32 @@ Shape = tuple[int, ...]
 Points = Float[Array, "*batch 2"]
 Cells = tuple[Int32[Array, " 4 *batch"], Int32[Array, " 4 *batch"]]
 Distances = Float[Array, "h w"]
-WORD = 32  # bits of a word, which holds as many cells of a row, the first column in the lowest bit
+WORD = 32  # bits of a word; each is a cell of a row, and the first column is in the lowest bit
 _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
 def pack(cells: Mask) -> Words:
-    """Return a grid as bits of words: column ``c`` of a row is bit ``c % 32`` of the row's word ``c // 32``."""
+    """Pack a boolean grid into words of 32 bits: column ``c`` of a row is bit ``c % 32`` of the word ``c // 32``."""
     h, w = cells.shape
     bits = jnp.pad(cells, ((0, 0), (0, -w % WORD))).reshape(h, -1, WORD)
     return (bits.astype(jnp.uint32) << _PLACES).sum(axis=2, dtype=jnp.uint32)
 
 
 def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
-    """Return the bits of a grid of ``w`` columns, as 0 and 1: the inverse of :func:`pack`."""
+    """Return the cells of a packed grid of ``w`` columns, as integers 0 and 1: the inverse of :func:`pack`."""
     bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
     return bits.reshape(len(words), -1)[:, :w]
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
-    """Return a grid of one cell, as bits."""
+    """Return a grid in which only the cell at ``row`` and ``column`` is set, packed as by :func:`pack`."""
     rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
     bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
     return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
 
 
 def neighbors_of(words: Grids) -> Grids:
-    """Return all cells that share a side with any of the given cells; each word holds 32 cells of a row as bits."""
+    """Return all cells that share a side with any of the given cells, as grids packed by :func:`pack`."""
     # To the next column is one bit up; between words, the highest bit leads to the lowest bit of the next word.
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
@@ -57,10 +57,11 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
-    """Return rows and columns of the up to four cells that contain each point, and whether the grid contains it.
+    """Return rows and columns of the up to four cells around each point, and whether the point is in the grid.
 
-    The four cells are lower left, lower right, upper left and upper right; some are equal unless the point is a
-    corner of cells. A point outside the grid is moved to the nearest point of the grid.
+    Rows and columns are arrays ``(4, ...)``, of the cells lower left, lower right, upper left and upper right of the
+    point. Some of the four cells are equal, unless the point is a corner of cells. A point outside the grid is first
+    moved to the nearest point of the grid.
     """
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
@@ -73,7 +74,10 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
 
 @pytree
 class Steps:
-    """Path lengths from all cells to the goal's cell; a point on a border has the least length of the cells there."""
+    """A table of the path length from each cell to the goal's cell.
+
+    A point on the border of several cells counts as in the cell of least length.
+    """
 
     table: Float[Array, "*maps h w"]
 
@@ -93,7 +97,10 @@ class Steps:
 
 @pytree
 class StepPairs:
-    """Path lengths between any two cells; a point on a border has the least length of the cells there."""
+    """A table of the path length between any two cells.
+
+    A point on the border of several cells counts as in the cell that gives the least length.
+    """
 
     table: Float[Array, "*maps h w h w"]
 
@@ -115,7 +122,10 @@ class StepPairs:
 
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
-    """Return the path length from each cell to the nearest ``start`` cell (packed bits), or ``inf``."""
+    """Return the path length from each cell to the nearest cell of the set ``start``; ``inf`` without a path.
+
+    ``start`` is packed by :func:`pack`. ``moves`` is 4 or 8, the number of neighbors that a step may lead to.
+    """
     w, start = free.shape[1], start & pack(free)
     if moves == 8:
         return _octile_distances(free, unpack(start, w) == 1)
@@ -126,7 +136,11 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    """Return the reachable cells, and their numbers of steps from ``start`` as one packed grid per binary digit."""
+    """Return the cells that can be reached from the cells ``start``, and their numbers of steps, as packed grids.
+
+    ``passable`` are the cells that steps may enter. The numbers of steps are binary: grid ``k`` has digit ``k``
+    (worth ``2**k``) of each cell's number.
+    """
     # `powers` are the numbers of the digits from the third on. Paths are shorter than the padded grid has cells.
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
@@ -171,7 +185,11 @@ MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than c
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
-    """Return path lengths on the 8-connected grid, in straight steps, by relaxation of all cells at once."""
+    """Return the path length from each cell to the nearest cell of ``start``, on the 8-connected grid.
+
+    Rounds relax all cells at once. The unit of length is a step between cells that share a side. ``inf`` without a
+    path.
+    """
     # Arrays have a rim of one cell, which no path reaches: `at` is the grid, moved by a step.
     h, w = free.shape
 

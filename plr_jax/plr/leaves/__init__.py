@@ -28,7 +28,10 @@ def leaf_names() -> list[str]:
 
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
-    """Return the leaf model of a name, or a given model; ``ValueError`` if files have no code for it."""
+    """Return the leaf model with the name ``leaf``, or ``leaf`` itself if it is a leaf model with a code in files.
+
+    ``ValueError`` for anything else.
+    """
     models = {model.name: model for model in _MODELS}
     if isinstance(leaf, str) and leaf in models:
         return models[leaf]
@@ -43,7 +46,10 @@ def code_of_leaf(leaf: LeafModel) -> int:
 
 
 def leaf_of_code(code: int) -> LeafModel:
-    """Return the leaf model of a code in a file; ``ValueError`` if there is none, to be completed by the caller."""
+    """Return the leaf model that a code in a file stands for.
+
+    ``ValueError`` if no model has this code; its message begins with "it", for the caller to say which file.
+    """
     if code == PAIRS_CODE:
         raise ValueError("it is a file of distances between any two points; read it with load")
     if code >= len(_MODELS):

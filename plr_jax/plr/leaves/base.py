@@ -33,13 +33,16 @@ UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
 class LeafModel(ABC):
-    """A kind of function that leaves of a PLR hold, such as planes; hashable, as compiled queries are cached by it.
+    """A kind of function that leaves of a PLR hold, such as planes; models are hashable for compiled queries.
 
-    Leaf data has three forms. *Stored* data is what a file holds, one object for all leaves. *Coefficients*, one row
-    per leaf, determine the function in the leaf's box; it is the constant ``inf`` if the first one is ``inf``.
-    *Parameters*, one row per leaf, are the numbers that a query reads. If the model ``is_cell_relative``, each row
-    begins with the number of the leaf's cell along each axis: the domain has number 1, and the halves of cell ``i``
-    have ``2 i`` and ``2 i + 1``.
+    The data of leaves has three forms:
+
+    - *Stored* data, one object for all leaves, is what a file holds.
+    - *Coefficients*, one row per leaf, determine the leaf's function in its box. If the first coefficient is ``inf``,
+      the function is the constant ``inf``.
+    - *Parameters*, one row per leaf, are the numbers that a query reads. If the model ``is_cell_relative``, each row
+      begins with the number of the leaf's cell along each axis: the domain has number 1, and the halves of cell ``i``
+      have the numbers ``2 i`` and ``2 i + 1``.
     """
 
     name: str
@@ -57,7 +60,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
-        """Append the stored data of leaves, which are cells of a domain, to the body of a file."""
+        """Append the stored data of leaves, which are the ``cells`` of a domain, to the body of a file."""
 
     @abstractmethod
     def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
@@ -69,19 +72,22 @@ class LeafModel(ABC):
 
     @abstractmethod
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
-        """Return the value at the point ``x[i]`` of each leaf ``i``, the box from ``lo[i]`` to ``hi[i]``."""
+        """Return the value of the function of leaf ``i``, the box from ``lo[i]`` to ``hi[i]``, at point ``x[i]``."""
 
     @abstractmethod
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
-        """Return the numbers that a query reads, one row per leaf; coordinates in them are relative to ``corner``."""
+        """Return the parameters of the leaves, the numbers that a query reads, one row per leaf.
+
+        Points of the query are relative to ``corner``.
+        """
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """Return a leaf's value at a point, by operations whose order is part of the file format.
 
-        All numbers are arrays, scalars or expressions of generated code; ``root`` computes their square root.
-        ``parameters`` are the numbers of the leaf that a query reads, without the numbers of its cell. ``place`` is
-        the point's coordinates: from 0 to 1 across the cell if ``is_cell_relative``, else measured from the domain's
+        All numbers are arrays, scalars or expressions of generated code; ``root`` computes the square root of a
+        number. ``parameters`` are the leaf's parameters without the numbers of its cell. ``place`` has the
+        coordinates of the point: from 0 to 1 across the leaf if ``is_cell_relative``, else measured from the domain's
         lower corner.
         """
 
@@ -91,12 +97,13 @@ class LeafModel(ABC):
     ) -> tuple[Distances, Distances]:
         """Return lower and upper bounds of a cone minus a leaf's function, over a convex polygon in the leaf.
 
-        Pair ``i`` is the leaf from ``lo[i]`` to ``hi[i]``, and the cone ``offset[i] + |x - apex[i]|``.
+        Bounds ``i`` are for the leaf from ``lo[i]`` to ``hi[i]``, the polygon ``pieces[:, i]`` and the cone
+        ``offset[i] + |x - apex[i]|``.
         """
 
     @abstractmethod
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
-        """Bound, for each leaf, the error of a query in 32-bit floats, compared with the leaf's exact function."""
+        """Return, for each leaf, an upper bound of the error of evaluating its function in 32-bit floats."""
 
     def num_leaf_parameters(self, dim: int) -> int:
         return 1 + dim
@@ -112,7 +119,10 @@ class LeafModel(ABC):
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
-        """Approximate each leaf by a plane: its value at the center, and half of its rise along each axis."""
+        """Approximate each leaf's function by a plane; return the value at the leaf's center, and half of the rise.
+
+        The rise is the change of the plane across the leaf along each axis.
+        """
         # The rise along an axis is the difference of the values at the centers of the two faces.
         center = (lo + hi) / 2
         half = np.empty_like(lo)
@@ -131,13 +141,17 @@ class LinearLeafModel(LeafModel):
 
     @abstractmethod
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
-        """Return coefficients of planes, given by values at leaf centers and half of the rise along each axis."""
+        """Return the coefficients of planes, given by the value at each leaf's center and half of the plane's rise.
+
+        The rise is the change of the plane across the leaf along each axis.
+        """
 
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
-        # The same at u = +-(1, 0, ...), +-(0, 1, ...), ... and u = 0, by products with basis(u).
+        # As in the base class, from the values at u = +-(1, 0, ...), +-(0, 1, ...), ... and u = 0: products with
+        # basis(u).
         ends = np.eye(lo.shape[1])
         half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
         return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
@@ -168,7 +182,7 @@ def check_limits(
         as_finite("tolerance", tolerance)
     if tolerance is None and all(value is None for value in counts.values()):
         max_leaves = DEFAULT_MAX_LEAVES
-    # 2. The smaller one of the sizes that the bytes and the leaves allow limits the lookup tables.
+    # 2. The lookup tables depend on the file's size: take the smaller of the sizes that the bytes and leaves allow.
     max_bytes = None if max_bytes is None else int(max_bytes)
     sizes = (max_bytes, None if max_leaves is None else model.bytes_without_budget(dim, int(max_leaves)))
     table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
@@ -192,5 +206,8 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, " dim"]:
-    """Return each axis's largest absolute coordinate, relative to the domain's lower corner if that is far from 0."""
+    """Return an upper bound of the absolute coordinates that a query computes with, along each axis.
+
+    In a domain far from the origin, coordinates are relative to its lower corner.
+    """
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

@@ -1,8 +1,9 @@
 """The leaf models ``"continuous"`` and ``"smooth"``: piecewise functions that are continuous except across walls.
 
-The unknowns are values at the corners of all leaves; leaves on both sides of a *free* face, which paths can cross,
-share them. Each round of the construction splits the leaves of largest error; then one sparse least-squares problem
-fits all values again. A file stores each value as an integer, relative to a prediction from values of coarser cells.
+The unknowns are the function's values at the corners of all leaves. Two leaves share the unknowns of a *free* face
+between the leaves, a face that paths can cross. Each round of the construction splits the leaves of largest error;
+then one sparse least-squares problem fits all values again. A file stores each value as an integer, the difference
+from a prediction by values of coarser cells.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,7 +47,11 @@ _MOST_DIM_OF_FACTORS = 2  # in more dimensions, sparse factors fill in too much
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int) -> Float[np.ndarray, " n"]:
-    """Solve ``normal @ x = moments``, symmetric positive definite, by a method for the domain's dimension ``dim``."""
+    """Solve ``normal @ x = moments`` for ``x``, with a symmetric positive definite matrix ``normal``.
+
+    ``dim`` is the dimension of the domain. If it is above 2, try conjugate gradients first. If it is at most 2, or
+    conjugate gradients take too many steps, factor the matrix.
+    """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
@@ -86,14 +91,21 @@ _INSET = 0.998  # test points fill this share of the face, since its ends belong
 
 
 class FaceTests:
-    """A test of which faces between leaves are free: distances are finite on both sides of some point of the face."""
+    """A test of faces between leaves: a face is *free* if paths can cross it.
+
+    A face counts as free if, next to one of its test points, distances are finite on both sides of the face.
+    """
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn, self._domain = distance_fn, domain
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
-        """Return which faces are free; the faces of the call before are not tested again."""
+        """Return whether each face is free: distances are finite on both sides of one of its test points.
+
+        ``cells`` are the leaves to which the indices in ``faces`` refer. Faces of the previous call are not tested
+        again.
+        """
         domain = self._domain
         # 1. Recall the faces of the call before. A key identifies a face by its lower cell, its upper cell and its
         # axis: with periodic axes, a cell may share a face along each axis with itself.
@@ -103,7 +115,7 @@ class FaceTests:
         is_free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
         is_free[known] = self._free[known_before]
         is_new[known] = False
-        # 2. Test the others at pairs of points, one on either side of the face, first at few pairs:
+        # 2. Test all other faces at pairs of points, one on either side of the face, first at few pairs:
         #      below . | . above        distances at both are finite: the face is free
         # Places are fractions of a face; face_points ignores the coordinate along the face's axis.
         places = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
@@ -124,7 +136,7 @@ class FaceTests:
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
     """Evaluate a polynomial of the variables ``t[0], t[1], ...``, each with exponents from 0 to ``powers - 1``.
 
-    It has ``powers ** len(t)`` coefficients, the last variable's exponent varying fastest.
+    The polynomial has ``powers ** len(t)`` coefficients; the exponent of the last variable varies fastest.
     """
     # Horner's rule in t[0]: part k, the coefficient of t[0]**k, is a polynomial of the other variables.
     if not t:
@@ -139,7 +151,10 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """Leaves whose functions agree on their ``tied`` faces: shared faces of reachable leaves that paths can cross."""
+    """A partition into leaves whose functions must agree on *tied* faces.
+
+    A face between two leaves is tied if paths can cross it.
+    """
 
     tree: Tree
     unreachable: Bool[np.ndarray, " leaves"]
@@ -156,7 +171,11 @@ class TiedPartition:
 
 @dataclass(frozen=True, eq=False)
 class StoredValues:
-    """Free degrees of freedom, such as values at leaf corners, as in a file: ``offset + step * code``."""
+    """The degrees of freedom of a continuous function, quantized as in a file: ``offset + step * code``.
+
+    A degree of freedom is the function's value at a corner of leaves. A corner inside a face of a larger leaf has no
+    degree of freedom: its value is interpolated. The derivatives of a smooth function follow from its values.
+    """
 
     partition: TiedPartition
     offset: float
@@ -207,8 +226,8 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
 _MOST_SPLIT = 0.5  # largest share of the leaves that are split
 _LEAST_SPLIT = 1 / 32  # least share of the leaves that are split
 _FEW_LEAVES = 1 / 32  # of the splits that the limits allow: fewer leaves than these are all split
-# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: last rounds that
-# split many leaves would leave some of them with several times the error of the others.
+# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: if the last round
+# split many leaves, some leaves would keep several times the error of other leaves.
 _SHARE_OF_ALLOWED = 0.4
 _WORTH_A_ROUND = 1 / 50  # growth ends if the byte limit has room for fewer than one split per 50 leaves
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
@@ -226,7 +245,7 @@ _UNPREDICTED = 1e-3  # factor of the difference from the mean value, for values 
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition, the values fitted to it, and the size of its file."""
+    """A partition into leaves, the values fitted to the leaves, and the size of the file in bytes."""
 
     fit: CellFit
     stored: StoredValues
@@ -238,7 +257,7 @@ class _FittedPartition:
 
 
 class _Rounds:
-    """A construction in rounds: each splits the leaves of largest error, then fits all leaves again."""
+    """A construction in rounds: each round splits the leaves of largest error, then fits all leaves again."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
@@ -246,7 +265,10 @@ class _Rounds:
         self._max_splits = limits.max_leaves
 
     def next(self, now: _FittedPartition) -> _FittedPartition | None:
-        """Return the partition after one more round; None if no more leaves fit into the limits."""
+        """Return the partition after one more round; None if growth ends.
+
+        Growth ends if no more leaves fit into the limits, or if no leaf has an error worth a split.
+        """
         while True:
             leaf, axis = self._next_splits(now)
             if len(leaf) == 0:
@@ -260,7 +282,7 @@ class _Rounds:
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
-        """Return the leaves to split next and the axes to split them along; none if growth ends."""
+        """Return the leaves to split next (as indices) and their split axes; both arrays are empty if growth ends."""
         fit, limits = now.fit, self._limits
         # 1. Estimate how many splits the limits allow, if the file grows in proportion to the leaves. For continuous
         # leaves, count it with a doubled step, which saves one bit per value. Smooth leaves need the finer step.
@@ -295,7 +317,12 @@ class _Rounds:
         return leaf, axis
 
     def fit_leaves(self, fit: CellFit) -> _FittedPartition:
-        """Fit a function, continuous except across walls, to samples of leaves in any order, by least squares."""
+        """Fit a function, continuous except across walls, to the samples of all leaves by least squares.
+
+        The leaves in ``fit`` may have any order; the result has them from left to right in the tree. Fitted values
+        are rounded to multiples of their mean error, or more coarsely if the byte limit asks for it. The file may
+        still exceed the limit.
+        """
         # 1. Sort the leaves by the tree, and find out which ones share values.
         tree = tree_of(fit.cells)
         fit = fit[tree.order]
@@ -328,9 +355,11 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, " free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit a finite-element function by least squares to the samples of leaves, each with its ``weight``.
+    """Fit a finite-element function to the samples of leaves by weighted least squares.
 
-    Return the free degrees of freedom, and the distance minus the function at each sample (0 if its weight is 0).
+    ``order`` is 0 for multilinear and 1 for cubic functions; ``weight`` has the weight of each sample. Return the
+    values of the degrees of freedom, and the sampled distance minus the function at each sample (0 if the sample's
+    weight is 0).
     """
     from scipy.sparse import bsr_array, diags_array
 
@@ -359,10 +388,10 @@ def fit_values(
 
 @dataclass(frozen=True)
 class Continuous(LinearLeafModel):
-    """The leaf models ``"continuous"`` and ``"smooth"``: functions do not jump across free faces.
+    """The leaf models ``"continuous"`` and ``"smooth"``: functions do not jump across free faces of leaves.
 
-    A face is free if the goal can be reached from both sides of one of its points; functions may jump across walls.
-    Coefficients are the values at a leaf's corners and, for order 1, the derivatives there.
+    A face between two leaves is free if the goal can be reached from both sides of some point of the face. Functions
+    may jump across walls. Coefficients are the values at a leaf's corners and, for order 1, the derivatives there.
 
     Args:
         order: 0: continuous values, multilinear in every leaf (``"continuous"``), in at most 6 dimensions. 1:

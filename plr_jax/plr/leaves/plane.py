@@ -1,4 +1,4 @@
-"""The leaf model ``"plane"``: every leaf has a plane that is fitted to the samples in this leaf alone."""
+"""The leaf model ``"plane"``: every leaf has a plane (affine function) fitted to the samples in this leaf alone."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,7 +31,12 @@ _WIDTH_BITS = 6  # bits in which the file states a bit width of ``half``
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1 across a leaf, in integers as in a file."""
+    """The planes (affine functions) of all leaves, with the integers of a file.
+
+    Let ``u`` be the position in a leaf, from -1 to 1 along each axis. The leaf's value is
+    ``offset + step * (center + half . u)``. If ``bits`` is 32, ``center`` and ``half`` are the bits of 32-bit floats
+    instead; with these floats, the value is ``center + half . u``.
+    """
 
     bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
     offset: float
@@ -44,9 +49,9 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return the bit widths of ``half``: by axis, how many bits an integer takes in leaves of depth 0, 1, ...
+        """Return, for each axis, the bits per number of ``half`` in leaves of depth 0, 1, ... along this axis.
 
-        ``depth`` has the depth of each leaf along each axis.
+        ``depth`` has the number of halvings of each leaf's cell along each axis.
         """
         # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
@@ -69,9 +74,10 @@ def unreachable_code(bits: int) -> int:
 
 
 def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
-    """Store planes with ``bits`` bits per center value; ``center`` is ``inf`` for a leaf that cannot reach the goal.
+    """Quantize planes to integers, with ``bits`` bits per center value; for 32 bits, store floats instead.
 
-    ``ValueError`` if values are too large.
+    ``center`` has the value at each leaf's center, or ``inf`` for a leaf that cannot reach the goal. ``half`` has
+    half of the rise across each leaf along each axis. ``ValueError`` if values are too large to be stored.
     """
     is_reachable = np.isfinite(center)
     if max(np.abs(center[is_reachable]).max(initial=0.0), np.abs(half[is_reachable]).max(initial=0.0)) > LARGEST:
@@ -95,7 +101,7 @@ def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
 
 @dataclass(frozen=True)
 class Plane(LinearLeafModel):
-    """The leaf model ``"plane"``: one plane in every leaf; the function may jump between leaves.
+    """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
 
     Coefficients are the value at a leaf's center, then half of the rise across the leaf along each axis.
 
@@ -139,8 +145,8 @@ class Plane(LinearLeafModel):
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, parent_key, priority, np.asarray(rules.split(fit)), limits)
 
-        # 2. The bits per value decide the size of a file and its rounding errors: these have, at u, the variance
-        # step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
+        # 2. The bits per value decide the size of a file and its rounding errors. At u, the rounding error has the
+        # variance step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

@@ -1,7 +1,7 @@
-"""The arithmetic of a query (``FORMAT.md``), written once for NumPy and for programs in other languages.
+"""The arithmetic of a PLR query, written once for NumPy and for generated code in other languages.
 
-Functions take the operations as an argument ``do``: :class:`Operations` computes with NumPy arrays and scalars; an
-emitter (``writers.py``) returns expressions of another language. The order of operations is part of the format.
+Functions take the operations as an argument ``do``. :class:`Operations` computes with NumPy arrays and scalars; an
+emitter (``writers.py``) returns expressions of another language. ``FORMAT.md`` prescribes the order of operations.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,17 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Operations:
-    """Operations of a query on NumPy values, besides arithmetic and comparisons; code generators override them."""
+    """The operations of a query other than arithmetic and comparisons, on NumPy values.
+
+    Code generators override the methods.
+    """
 
     def let(self, name: str, value: Value) -> Value:
-        """Return the value; a generator of code assigns the value to a new variable instead."""
+        """Return ``value``.
+
+        A code generator instead assigns the value to a new variable, called ``name`` with a number, and returns the
+        variable.
+        """
         return value
 
     def where(self, condition: Value, yes: Value, no: Value) -> Value:
@@ -50,7 +57,10 @@ ARRAYS = Operations()
 
 
 def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
-    """Move ``x`` by whole periods (1 / ``scale``) into ``[lo, hi]``; return ``lo`` within ``tolerance`` of ``hi``."""
+    """Move ``x`` by whole periods (``hi - lo``) into ``[lo, hi]``; ``scale`` is 1 / period.
+
+    If ``x``, before it is moved, is within ``tolerance`` of ``hi``, return ``lo``.
+    """
     # x - floor((x - lo) * scale) * (hi - lo), clamped, since rounding may lead beyond an end.
     turns = do.floor((x - lo) * scale)
     moved = clamp(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
@@ -64,7 +74,11 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Convert an ``offset`` from the domain's lower end to units of ``2**-23`` of the width; see :class:`Frame`."""
+    """Convert an ``offset`` from the domain's lower end along an axis to an integer, in units of ``2**-23`` widths.
+
+    ``frame`` has the constants of this axis, in the order of :class:`Frame`. Generated C and JavaScript use units of
+    ``2**-32`` widths instead.
+    """
     # The mantissa bits of max(min(share, top) + start, 1), a float from 1 to below 2; share is at least 0, so the
     # maximum is needed only if start < 1.
     start, top = frame[Frame.START], frame[Frame.TOP]
@@ -77,7 +91,7 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
 
 
 class Program:
-    """The query of one PLR file: the constants of the file, and a method for each step of ``FORMAT.md``."""
+    """The query of one PLR file: the constants of the file, and a method for each step of a query (``FORMAT.md``)."""
 
     def __init__(self, contents: DecodedFile) -> None:
         self.contents, self.leaf, self.straight = contents, contents.leaf, contents.straight
@@ -87,7 +101,7 @@ class Program:
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
-        # 2. Parameters of leaves; those of polynomials begin with the numbers of the leaf's cell, which are left out.
+        # 2. Parameters of leaves, without the numbers of the leaf's cell with which parameters of polynomials begin.
         domain_of_leaves, numbers = relative_to_origin(contents, origin)
         self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(domain_of_leaves)
@@ -105,9 +119,10 @@ class Program:
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
 
     def contains(self, do: Operations, x: Point) -> Value:
-        """Return whether points are in the domain; False for NaN.
+        """Return whether points are in the domain; False for NaN, and for infinity along a periodic axis.
 
-        64-bit points must be wrapped before and, unless the domain is far from 0, rounded to 32 bits.
+        64-bit points must have passed :meth:`wrap_in_double`. Unless the domain is far from 0, they must also be
+        rounded to 32 bits.
         """
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
@@ -123,14 +138,22 @@ class Program:
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """Round points to 32 bits; in a domain far from 0, subtract its lower corner first."""
+        """Return points ``x`` as the query computes with them.
+
+        In a domain far from 0, they are relative to the domain's lower corner, and rounded to 32 bits. In any other
+        domain, they are unchanged.
+        """
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Fold and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
+        """Return points minus the lower corner of the leaves' domain, after mirroring and wrapping.
+
+        ``x`` has the points that :meth:`relative` returns. If the file has mirror symmetries, points are first
+        mirrored into the leaves' domain. Along periodic axes, points are then moved by whole periods into the domain.
+        """
         x = list(x)
         if self.folding_arrays is not None:
             # 1. Center, rotate, mirror behind each pivot, clip.
@@ -151,15 +174,20 @@ class Program:
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
-        """Return how far points lie along each axis of the domain, in units of ``2**-23`` of the domain's width.
+        """Return the position of points along each axis of the domain as integers, in units of ``2**-23`` widths.
 
-        ``offsets`` are those of :meth:`offsets`.
+        ``offsets`` is the result of the method :meth:`offsets`. Generated C and JavaScript use units of ``2**-32``
+        widths instead.
         """
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Return answers at points, given by :meth:`offsets`, in the leaf with parameters ``numbers``."""
+        """Return the distance at each point, with the parameters ``numbers`` of the point's leaf.
+
+        ``offsets`` is the result of the method :meth:`offsets`. ``numbers`` has one value or array per parameter; for
+        several points, an array has one entry per point. The distance is at least :meth:`straight_bound`.
+        """
         # 1. For polynomials, two numbers for each axis come before the leaf's parameters: how many cells as long as
         # the leaf's cell the domain has along the axis, and the index of the leaf's cell. In the cell, the coordinate
         # is t = (share of the domain's width) * number - index, from 0 to 1.
@@ -181,7 +209,10 @@ class Program:
         return do.where(straight > value, straight, value)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the lower bound by straight lines to the goals; None if none is stored."""
+        """Return a lower bound of the distance, from straight lines to the goals; None if the file stores no bound.
+
+        ``offsets`` is the result of the method :meth:`offsets`.
+        """
         # max(least cost of a goal - margin, 0); a goal's cost is the sum over groups of axes of
         #   rate * sqrt(sum of squared changes of the group's coordinates).
         if self.straight is None:
@@ -209,10 +240,13 @@ class Program:
 
 
 class CodedTree:
-    """A binary tree of cells whose nodes are integers ``index << kind_bits | kind``.
+    """A binary tree of cells in which each node is an integer ``index << kind_bits | kind``.
 
-    A split node's kind is the axis that it halves, and its index is a row of ``children``, in level order. A leaf's
-    kind is ``dim``, and its index is a row of leaf parameters.
+    - Split node: the kind is the axis along which the cell is halved, the index is the node's row in ``children``.
+      This row has the integers of the lower and the upper half.
+    - Leaf: the kind is ``dim``, the index is the leaf's entry in ``row_of_leaf``, a row of leaf parameters.
+
+    Rows of ``children`` go through the tree level by level.
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, " leaves"]) -> None:
@@ -233,7 +267,10 @@ class CodedTree:
 def distinct_rows(
     numbers: Float[np.ndarray, "leaves count"],
 ) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, " leaves"]]:
-    """Return the distinct rows (bit for bit) in order of first appearance, and the index of each leaf's row."""
+    """Return the distinct rows of ``numbers`` in order of first appearance, and the index of each leaf's row.
+
+    ``numbers`` has 32-bit floats; rows are equal if all their bits are.
+    """
     # NumPy sorts distinct rows; `rank` is the place of each in the order of first leaves.
     _, first_leaf, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first_leaf))

@@ -1,4 +1,4 @@
-"""Generation of a C99 header from a PLR."""
+"""Generate a C99 header from a PLR: :func:`c_header` with plain tables, :func:`compact_header` with compact bytes."""
 
 import numpy as np
 
@@ -16,7 +16,11 @@ _WHY = {
 
 
 class CEmitter(Emitter):
-    """A generator of C99 code; ``floors`` has the types whose floor function the code calls."""
+    """A generator of C99 code.
+
+    ``name`` is the prefix of the functions that the code calls. ``floors`` collects the types (``"float"``,
+    ``"double"``) for which the code calls a floor function.
+    """
 
     root_of, cast = "sqrtf({})", "(float)({})"
     definition = "const {type} {name} = {value};"
@@ -27,7 +31,7 @@ class CEmitter(Emitter):
         self.floors: set[str] = set()
 
     def literal(self, number: np.floating) -> str:
-        """Return the shortest decimal that C reads as the same number."""
+        """Return the shortest decimal that C reads as the same number; ``INFINITY`` or ``-INFINITY`` if infinite."""
         if np.isinf(number):
             return "INFINITY" if number > 0 else "-INFINITY"
         return str(number) + ("f" if number.dtype == np.float32 else "")
@@ -42,7 +46,10 @@ class CEmitter(Emitter):
 
 
 def c_header(program: Program, name: str) -> str:
-    """Return a header with the tables of a PLR and the functions that answer queries; see :meth:`PLR.c_header`."""
+    """Return a C header with the tables of a PLR and the functions that answer queries; see :meth:`PLR.c_header`.
+
+    ``name`` is the prefix of the header's functions and tables. ``ValueError`` if it is no C identifier.
+    """
     require_identifier(name)
     dim, leaf = program.dim, program.leaf
     of_type = "float" if program.corner is None else "double"  # of coordinates
@@ -162,7 +169,10 @@ def c_header(program: Program, name: str) -> str:
 
 
 def compact_header(program: Program, name: str) -> str:
-    """Return the decoder and compact bytes of a PLR as a header; see :meth:`PLR.c_header`."""
+    """Return a C header with the compact bytes of a PLR and the decoder that queries them; see :meth:`PLR.c_header`.
+
+    ``name`` is the prefix of the functions and bytes of this PLR. ``ValueError`` if it is no C identifier.
+    """
     require_identifier(name)
     data, dim = compact_bytes(program), program.dim
     of_type, far = ("float", "") if program.corner is None else ("double", "_far")  # of coordinates; of functions

@@ -1,8 +1,8 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from them, and rounding may make some differ
-from those that a query of the PLR file uses. This module finds such parameters and stores them too. So all answers
-are equal, bit for bit.
+``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from the bytes. Due to rounding, some computed
+parameters may differ from the parameters that a query of the PLR file uses. This module stores the right values of
+such parameters as exceptions, so that all answers are equal, bit for bit.
 """
 
 import math
@@ -43,7 +43,10 @@ _EXACT = 2**53  # doubles hold all integers up to here
 
 
 def compact_bytes(program: Program) -> bytes:
-    """Return the bytes that the C decoder reads, in the smallest encoding that the PLR's leaf model has."""
+    """Return the bytes that the C decoder reads, in the smallest of the encodings for the PLR's leaf model.
+
+    ``ValueError`` if the decoder does not support the leaf model.
+    """
     leaf, contents = program.leaf, program.contents
     if not leaf.has_compact_code:
         raise ValueError(f"The compact decoder does not know leaves of kind {leaf.name!r}: use compact=False.")
@@ -57,7 +60,10 @@ def compact_bytes(program: Program) -> bytes:
 
 
 class _CompactWriter:
-    """A writer of one PLR's bytes for the C decoder; each method ``with_...`` encodes the leaves in one way."""
+    """A writer of one PLR's bytes for the C decoder.
+
+    Call one of the methods ``with_...``, once. Each method encodes the leaves in another way.
+    """
 
     def __init__(self, program: Program) -> None:
         self.program, self.dim = program, program.dim
@@ -77,11 +83,14 @@ class _CompactWriter:
 
     @property
     def _at(self) -> int:
-        """Position, in bits, at which the next part of the file begins."""
+        """The position at which the next number will be written, in bits from the start of the result."""
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_domain(self) -> None:
-        """Write the domain: 32-bit numbers for queries, exact corners if needed, and mirrors or straight lines."""
+        """Write the domain as 32-bit floats, and also in 64 bits for planes and for domains far from 0.
+
+        Then write the file's mirror symmetries or lower bound by straight lines, if any.
+        """
         program, contents = self.program, self.program.contents
         # 1. Nine floats for each axis: limits of points inside; rows of the frame; ends and tolerance if periodic.
         ends = np.zeros((3, self.dim))
@@ -120,7 +129,10 @@ class _CompactWriter:
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
-        """Append rows of integers; each of ``parts`` is some columns of the rows, and the bits of each number."""
+        """Append a table of integers, row by row.
+
+        Each of ``parts`` has some columns of the table, and the number of bits of each integer in these columns.
+        """
         widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
         rows = np.concatenate([columns for columns, _ in parts], axis=1)
         self.body.write(rows.ravel(), np.tile(widths, len(rows)))
@@ -138,10 +150,11 @@ class _CompactWriter:
         self._write_rows(*parts, (np.zeros((len(is_split), 1), np.int64), -num_bits % 8))
 
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, " _"]) -> bytes:
-        """Append planes, exceptions and ``rows``, and return all bytes.
+        """Append planes, exceptions and the floats ``rows``; return all bytes, with ``flags`` in the header.
 
-        ``numbers`` are the leaf parameters that the decoder computes. Where a query of the PLR file uses other
-        numbers, these are stored as exceptions.
+        ``numbers`` are the leaf parameters that the decoder computes. If a query of the PLR file uses another value
+        of a parameter, this value is stored as an exception. A leaf with many exceptions is stored as a plane
+        instead, if this changes no answer.
         """
         # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
         # fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
@@ -182,7 +195,7 @@ class _CompactWriter:
         return data + zlib.crc32(data).to_bytes(4, "little")
 
     def with_rows(self) -> bytes:
-        """Encode leaves as rows of 32-bit floats; equal rows are stored once."""
+        """Return the bytes with each leaf's parameters as a row of 32-bit floats; equal rows are stored once."""
         rows, row_of_leaf = distinct_rows(self.numbers)
         self._write_tree()
         self.at_fields, self.at_levels = self._at, (len(rows) - 1).bit_length()  # not a position: the width of fields
@@ -190,7 +203,10 @@ class _CompactWriter:
         return self._finish(0, self.numbers, rows.ravel())
 
     def with_planes(self) -> bytes:
-        """Encode planes as the integers of the PLR file, with as many bits as each level of the tree needs."""
+        """Return the bytes with planes as the integers of the PLR file.
+
+        Each level of the tree has its own bit widths, as small as its integers allow.
+        """
         planes = self.program.contents.stored
         self.offset, self.step = planes.offset, planes.step
         # 1. Find the widths, by level and field: the center value is unsigned, half-differences have a sign bit.
@@ -215,7 +231,10 @@ class _CompactWriter:
         return self._finish(_CODED, np.where(is_own, self.numbers, np.float32(0)), np.zeros(0))
 
     def with_values(self, middles: "_Middles") -> bytes:
-        """Encode continuous or smooth leaves as values at corners, which :class:`_Middles` predicts."""
+        """Return the bytes of continuous or smooth leaves, with the function's values at cell corners.
+
+        Values are stored as differences from predictions by coarser cells (``middles``).
+        """
         stored = self.program.contents.stored
         self.fraction_bits, self.offset = middles.fraction_bits, stored.offset
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
@@ -245,7 +264,7 @@ class _CompactWriter:
 
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
-    """Concatenate the rows of 16 successive splits, which share a record of the file; zeros pad the last record."""
+    """Join the rows of each 16 successive splits into one row, a record of the file; zeros pad the last record."""
     padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
     return padded.reshape(-1, _RECORD * of_splits.shape[1])
 
@@ -253,7 +272,7 @@ def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndar
 class _Middles:
     """Values at the midpoints of cell edges, coded as differences from the mean of the values at the edge's ends.
 
-    Each split halves edges of its cell: from the domain's corners down, midpoints become corners of smaller cells.
+    Each split halves some edges of its cell. The midpoints of these edges become corners of the two smaller cells.
     """
 
     # A halved edge from a to b, whose middle may have the value m in the lower half, and m' in the upper half:
@@ -324,10 +343,10 @@ class _Middles:
                 self.corners[lower[:, None] + 1, low] = middle[:, :, 1]
 
     def best_widths(self) -> Int[np.ndarray, " records"]:
-        """Choose, for each record of 16 splits, the bits of a ``narrow`` number for which the record is smallest.
+        """Choose, for each record of 16 splits, the bits of a narrow number that make the record smallest.
 
-        A ``wide`` number takes twice as many bits. Edges whose ``narrow`` number does not fit are stored wide: their
-        ``mark`` changes from 1 to 2, in place.
+        The value at an edge's midpoint takes one narrow number, or one or two wide numbers of twice as many bits. If
+        the narrow number does not fit, the midpoint is stored wide: its ``mark`` changes from 1 to 2, in place.
         """
         narrow_bits = 1 + np.frexp(np.abs(self.narrow))[1]
         wide_bits = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
@@ -341,7 +360,10 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, " splits"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Return two integers for each halved edge, and their bits: those of ``narrow`` are ``unit[split]``."""
+        """Return two integers for the midpoint of each halved edge, and the bits of each integer (0: not stored).
+
+        A ``narrow`` number has ``unit[split]`` bits, a ``wide`` number twice as many.
+        """
         # By mark: nothing; narrow; the first wide; both of them.
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
@@ -351,7 +373,11 @@ class _Middles:
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN where it is unknown."""
+    """Return the polynomial coefficients of smooth leaves as the C decoder computes them.
+
+    The result has a row for each leaf, in level order. ``corners`` has the integer value at each corner of each node
+    of the tree. Coefficients whose rounding by the decoder cannot be predicted are NaN.
+    """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -371,15 +397,16 @@ def _smooth_numbers(
 
 
 def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the coefficients of a cubic, from values and derivatives at both ends of [0, 1]."""
+    """Return the coefficients of a cubic, powers 0 to 3, from its values ``v`` and derivatives ``d`` at 0 and 1."""
     return v0, d0, 3 * (v1 - v0) - 2 * d0 - d1, 2 * (v0 - v1) + d0 + d1
 
 
 class _SmoothCorners:
-    """Values and derivatives at corners of smooth leaves, as the C decoder computes them; NaN if unpredictable.
+    """Values and derivatives at corners of smooth leaves in the plane, as the C decoder computes them.
 
-    Points count ``2**-23`` of the domain's width along either axis. Corners of a leaf, and the numbers at a corner
-    (value, derivative by y, by x, by both), are numbered ``2 * x_bit + y_bit``.
+    Numbers whose rounding by the decoder cannot be predicted are NaN. Coordinates of points are integers, in units of
+    ``2**-23`` of the domain's width. The four corners of a leaf have the indices ``2 * x_bit + y_bit``, where a bit
+    is 1 at the upper end of its axis. The four numbers at a corner are value, derivative by y, by x, and by both.
     """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
@@ -388,9 +415,12 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return the numbers at a corner where leaves have ``value``, and the length of a chain.
+        """Return value and derivatives at a corner of leaves, and its chain length.
 
-        The chain counts corners inside edges of larger leaves, each computed from the ends of its edge.
+        The corner is at ``point``. Only leaves whose integer value at this corner is ``value`` count. A *hanging*
+        corner lies inside an edge of a larger leaf. Its value and derivatives follow from the ends of this edge,
+        which may hang, too. The chain length is the largest number of hanging corners in succession, from ``point``
+        on.
         """
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
@@ -398,7 +428,11 @@ class _SmoothCorners:
         return self.known[point, value]
 
     def _numbers(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return the numbers and the chain of a corner: means over its leaves, or from a host's edge."""
+        """Compute value and derivatives at a corner of leaves, and the corner's chain length; see :meth:`__call__`.
+
+        Derivatives are weighted means over the leaves at the corner. If the corner lies inside an edge of a larger
+        leaf (the *host*), value and derivatives follow from this edge instead.
+        """
         # Up to four leaves meet at a point. One of them (the host) may have it inside an edge, not at a corner:
         #
         #     +-----------+              edge: axis of the host's edge
@@ -453,9 +487,11 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return the numbers and the chain at a corner inside an edge of a larger leaf, from cubics along the edge.
+        """Compute value, derivatives and chain length of a corner inside an edge of a larger leaf.
 
-        The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
+        Value and derivatives come from cubics along the edge. The edge is parallel to the axis ``edge``, and runs
+        from the coordinate ``start`` to ``start + size``. The function's integer values at its two ends are ``ends``.
+        For the chain length, see :meth:`__call__`.
         """
         # Number i at the ends p and q, with its derivatives along the edge (numbers i | along), gives a cubic: for
         # the value (i = 0), and for the derivative across the edge (i = 3 - along).

@@ -1,4 +1,4 @@
-"""Generation of a JavaScript module from a PLR, and of readers of PLR files for web pages."""
+"""Generate JavaScript: a module from a PLR (:func:`js_module`), and functions that read PLR files in a web page."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +30,7 @@ function beside(x, isAbove) {
 
 
 class JavaScriptEmitter(Emitter):
-    """A generator of JavaScript: in its code, ``f = Math.fround`` rounds the result of each 32-bit operation."""
+    """A generator of JavaScript code, in which ``f = Math.fround`` rounds the result of each 32-bit operation."""
 
     root_of, cast, is_rounded = "f(Math.sqrt({}))", "f({})", False
     definition = "const {name} = {value};"
@@ -46,7 +46,10 @@ class JavaScriptEmitter(Emitter):
 
 
 class _ConesFromTables(Program):
-    """A query of any file of cones: the constants of a file are JavaScript variables such as ``scale0``."""
+    """The query of a PLR file of cones that JavaScript reads at run time.
+
+    In place of the file's constants, the generated code has variables such as ``scale0``.
+    """
 
     def __init__(self) -> None:
         # 1. A placeholder: two leaves, which are halves of the unit square.
@@ -74,7 +77,11 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return the JavaScript function ``coneReader``: it makes queries from the tables of ``readCones`` (file.js)."""
+    """Return the source of the JavaScript function ``coneReader(tables)``.
+
+    That function takes the tables of a file of cones, as the JavaScript function ``readCones`` in ``file.js`` returns
+    them. It returns the functions ``distance``, ``waypoint`` and ``bounds``.
+    """
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program = _ConesFromTables()
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -134,10 +141,11 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the functions ``distance`` and, where they apply, ``waypoint`` and ``bounds``.
+    """Return the lines of the JavaScript functions that answer queries.
 
-    The code reads the ``width`` numbers of a leaf from an array ``numbers``. If ``is_proven``, the last two are
-    bounds of the error.
+    These are ``distance``, for cones ``waypoint``, and if ``is_proven``, ``bounds``. The code reads ``width`` numbers
+    for each leaf from an array ``numbers``. If ``is_proven``, the last two are lower and upper bounds of distance
+    minus PLR value.
     """
     dim, has_tree = program.dim, len(tree.children) > 0
 
@@ -152,7 +160,8 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
     def value(if_nan: str, if_outside: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
-        # An emitter of the code that computes the value, the value, and the point minus the domain's corner.
+        # Return an emitter with the code that computes the value, the expression of the value, and the expressions of
+        # the point minus the domain's corner.
         do = JavaScriptEmitter()
         outside = [f"return {do.nan_condition(dim)} ? {if_nan} : {if_outside};"]
         offsets, numbers = do.write_lookup(program, "double", read_leaf, outside)
@@ -183,7 +192,12 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the JavaScript function ``leaf``: it finds a point's leaf and, if ``of_cells``, where its cell is."""
+    """Return the lines of the JavaScript function ``leaf``, which returns the row of parameters of a point's leaf.
+
+    The function reads the point's position from the array ``place``. If ``of_cells``, it also finds the leaf's cell.
+    Then, for each axis, ``count`` is the number of such cells along the domain, and ``cell`` the index of the leaf's
+    cell.
+    """
     # `place` has the next bit of the position along each axis as its highest bit. For `of_cells`, `count` is the
     # number of cells like the current one along each axis of the domain, `cell` its index among these.
     mask = (1 << tree.kind_bits) - 1
@@ -226,7 +240,7 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
 
 
 def float32_literal(number: np.float32) -> str:
-    """Return the shortest decimal that JavaScript reads in 64 bits and rounds to this 32-bit float."""
+    """Return a short decimal that JavaScript reads as a 64-bit float which rounds to ``number``."""
     text = str(number)
     return _decimal(text if np.isinf(number) or np.float32(float(text)) == number else float(number))
 

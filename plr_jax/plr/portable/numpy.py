@@ -54,7 +54,7 @@ class PythonEmitter(Emitter):
 
 
 class LeafTable:
-    """A lookup table over a grid: for each grid cell, the deepest node (or leaf) of the tree that contains it."""
+    """A lookup table: for each cell of a regular grid, the deepest node of the tree that contains this grid cell."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree = tree
@@ -65,13 +65,17 @@ class LeafTable:
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
         bits = spread_bits(deepest, _MOST_BITS)
         place = np.indices((1 << bits).tolist()).reshape(tree.dim, -1) << (FRACTION_BITS - bits)[:, None]
-        # 2. The table has the deepest node that contains each cell of the grid; it is flat if all these are leaves.
+        # 2. The table has the deepest node that contains each cell of the grid; it is flat if all nodes are leaves.
         self.table = np.full(place.shape[1], tree.root, tree.code_type)
         self._descend(self.table, list(place), bits)
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind_mask == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
-        """Return the index of each point's leaf; coordinates are in units of ``2**-23`` of the domain's width."""
+        """Return the index of each point's leaf.
+
+        ``fractions`` has an array for each axis: the points' coordinates from the domain's lower end, in units of
+        ``2**-23`` of its width.
+        """
         # The row-major index of a grid cell consists of the highest bits of the point's fraction along each axis.
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
@@ -83,9 +87,11 @@ class LeafTable:
     def _descend(
         self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
     ) -> None:
-        """Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``.
+        """Descend the tree from the node ``code[i]`` toward the leaf that contains point ``i``.
 
-        ``code`` has a node for each point, as in :class:`CodedTree`.
+        ``code`` is changed in place; nodes are coded as in :class:`CodedTree`. ``fractions`` has the points'
+        coordinates, an array for each axis. The descent stops at leaves, and at nodes split along an axis that was
+        already halved ``bits[axis]`` times.
         """
         # A split of depth d along its axis leads to the child given by bit d of the fraction, the highest bit first.
         moving = np.flatnonzero(code & self.kind_mask != self.tree.dim)
@@ -105,9 +111,12 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    ``numbers`` are the parameters of all leaves. The function returns the distance, or the leaf's index if
-    ``of_leaf``. It returns None if the query of arrays must answer: for NaN, for a point that must be wrapped along a
-    periodic axis, and if rounding decides whether the point is inside the domain.
+    ``numbers`` are the parameters of all leaves. The function returns the distance (``inf`` outside the domain), or
+    with ``of_leaf`` the leaf's index (-1 outside). It returns None if only a query of arrays can answer:
+
+    - The point must be moved along a periodic axis.
+    - A coordinate is NaN, and no other coordinate is outside the domain.
+    - Rounding decides whether the point is inside the domain.
     """
     # For example, for planes in the unit square:
     #
@@ -181,18 +190,22 @@ def point_query(
 class NumpyPLR:
     """A PLR that is queried without JAX; made by :func:`load_numpy` or :meth:`PLR.numpy`.
 
-    ``f(x)`` is the distance at points ``(..., dim)``. Results equal those of C headers (:meth:`PLR.c_header`) bit for
-    bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are rounded to 32 bits; before that,
-    64-bit points are wrapped and, in a domain far from the origin, shifted. With ``jax_enable_x64``, ``plr(x)``
-    computes in 64 bits for 64-bit points, so that answers differ by the rounding of this class.
+    ``f(x)`` is the distance at points ``(..., dim)``. Points are rounded to 32 bits. Before that, 64-bit points are
+    moved into the domain along periodic axes. In a domain far from the origin, points are also made relative to its
+    lower corner.
 
-    A single point, as a tuple, list or array, takes a few microseconds, as does each point of an array of at most
-    eight. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Bounds, points around
-    periodic axes, and points outside with ``outside`` other than ``"inf"`` take up to a few hundred microseconds per
-    call.
+    Answers equal the answers of C headers (:meth:`PLR.c_header`) bit for bit. On a CPU, they equal ``plr(x)`` bit for
+    bit, except for numbers below 1e-38. With ``jax_enable_x64``, ``plr(x)`` computes in 64 bits for 64-bit points, so
+    that answers differ by the rounding of this class.
 
-    ``dim``, ``domain``, ``num_leaves`` and ``max_error`` are those of the :class:`PLR`. Answers are float32, except
-    that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
+    A single point, as a tuple, list or array, takes a few microseconds, and so does each point of an array of at most
+    eight points. A larger batch takes up to about 0.1 ms plus 10 to 130 nanoseconds per point. Some queries take up
+    to a few hundred microseconds per call: bounds, points that must be moved along periodic axes, and points outside
+    the domain with ``outside`` other than ``"inf"``.
+
+    ``dim``, ``domain``, ``num_leaves`` and ``max_error`` equal the attributes of the :class:`PLR`. Answers are
+    float32, except that waypoints in a domain far from the origin are float64, and :meth:`which` and :meth:`leaf`
+    return integers.
     """
 
     def __init__(self, data: bytes):
@@ -292,14 +305,18 @@ class NumpyPLR:
         return np.append(require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored)), np.nan)
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, " leaves_and_outside *row"]) -> Any:
-        """Return the row of each point's leaf; the last row, of NaN, for NaN and outside the domain."""
+        """Return ``rows[leaf]`` for the leaf of each point ``x``, ``(..., dim)``.
+
+        ``rows`` has a row for each leaf, then a row of NaN. Points outside the domain or with a NaN coordinate get
+        this last row.
+        """
         leaf = self._at_few_points(x, self._leaf_query)  # -1, the last row, outside
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        """Return ``query`` at one point, or at each of 1 to 8 rows of an array, in a list.
+        """Return ``query(*x)`` for a single point ``x``, or the list of these results for an array of 1 to 8 points.
 
-        Return None for other input, and if ``query`` returns None at a point.
+        Return None for any other input, and if ``query`` returns None at a point.
         """
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
@@ -318,9 +335,11 @@ class NumpyPLR:
             return None
 
     def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
-        """Return ``answer(offsets, leaf)`` for points in chunks, and the answers ``outside`` of the domain.
+        """Return ``answer(offsets, leaf)`` for all points ``x``, ``(..., dim)``, computed in chunks.
 
-        ``offsets`` are points minus the domain's lower corner, ``leaf`` the indices of their leaves.
+        ``offsets`` has an array for each axis: points minus the domain's lower corner. ``leaf`` has the indices of
+        the points' leaves. ``outside`` is the answer at points outside the domain: ``"inf"``, ``"clamp"`` or
+        ``"nan"``.
         """
         x, program = as_queries(x, self.dim), self._program
         flat, parts = x.reshape(-1, self.dim), []
@@ -356,7 +375,11 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Return the value at the domain's nearest point plus the distance to it; ``inf`` for points not finite."""
+        """Return, for points outside the domain, the answer at the domain's nearest point plus the distance to it.
+
+        ``relative`` has the points as :meth:`Program.relative` returns them. The result is ``inf`` if a coordinate is
+        not finite.
+        """
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
@@ -372,7 +395,10 @@ class NumpyPLR:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        """Return columns with the lower bound, at least 0, and the upper bound, both rounded outward."""
+        """Return proven lower bounds (at least 0) and upper bounds of the distance at points, ``(n, 2)``.
+
+        All bounds are rounded outward. Where the PLR is not finite, both bounds equal the PLR's value.
+        """
         assert self._band is not None, "bounds are called only with a proof"
         value = self._values(offsets, leaf)
         band = self._band if self._band.shape[1] == 1 else self._band[:, leaf]  # one for all leaves, or one for each
@@ -391,7 +417,8 @@ def _as_indices(numbers: np.ndarray) -> Any:
 def load_numpy(path: str | os.PathLike) -> NumpyPLR:
     """Read a PLR that :func:`save` wrote, without importing JAX; ``OSError`` if the file cannot be read.
 
-    ``ValueError`` if it is no PLR file that this release reads, or holds distances between any two points.
+    ``ValueError`` if this release cannot read the file as a PLR to fixed goals, for example a file with distances
+    between any two points.
     """
     path = file_path(path)
     try:

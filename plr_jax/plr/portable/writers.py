@@ -1,6 +1,6 @@
 """Emitters: operations for ``arithmetic.py`` that generate source code instead of computing results.
 
-Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names an expression. For
+Values are expressions of the target language. :meth:`Emitter.let` appends a statement that names an expression. For
 example, with ``do = CEmitter("f")`` and ``x = do.atom("x[0]")``, ``do.let("share", (x - 1) * 2)`` appends the
 statement ``const float share_0 = (x[0] - 1.0f) * 2.0f;`` and returns the expression ``share_0``.
 """
@@ -24,7 +24,10 @@ _WIDTH = 100  # width of a line of generated code
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """The source text of an expression; operators join two texts, in parentheses where precedence asks for them."""
+    """The source text of an expression in the target language.
+
+    Operators join the texts of two expressions, with parentheses where precedence asks for them.
+    """
 
     text: str
     level: int  # precedence of the outermost operator
@@ -36,7 +39,7 @@ class Expression:
         return self.text
 
     def at_least(self, level: int) -> str:
-        """Return the text, in parentheses if its precedence is lower than ``level``."""
+        """Return the text, in parentheses if the precedence of its outermost operator is lower than ``level``."""
         return self.text if self.level >= level else f"({self.text})"
 
     def _joined(self, symbol: str, left: "Expression", right: "Expression", level: int) -> "Expression":
@@ -82,7 +85,7 @@ class Expression:
 
 
 class Emitter(Operations, ABC):
-    """A base class of code generators; subclasses define templates of their language, as attributes."""
+    """A base class of code generators; the attributes of a subclass are templates for the code of its language."""
 
     # Templates: fields in braces are replaced by the text of expressions.
     conjunction = "&&"
@@ -96,7 +99,7 @@ class Emitter(Operations, ABC):
         self.statements: list[str] = []
 
     def atom(self, text: str, of_type: str = "float") -> Expression:
-        """Wrap source text, such as a name or a call, that never needs parentheses."""
+        """Return source text that never needs parentheses, such as a name or a call, as an expression."""
         return Expression(text, _ATOM, of_type, self)
 
     def constant(self, value: Any) -> Expression:
@@ -108,7 +111,10 @@ class Emitter(Operations, ABC):
         return Expression(self.literal(number), _ATOM if number >= 0 else _PRODUCT, of_type, self)
 
     def let(self, name: str, value: Any) -> Expression:
-        """Assign an expression to a new, numbered variable; variables are returned unchanged."""
+        """Append a statement that assigns ``value`` to a new variable, and return the variable.
+
+        The variable is called ``name`` with a number. If ``value`` is a variable already, return it unchanged.
+        """
         if value.text.isidentifier():
             return value
         unique = f"{name}_{len(self.statements)}"
@@ -148,9 +154,10 @@ class Emitter(Operations, ABC):
     ) -> tuple[list[Expression], list[Expression]]:
         """Append code that finds the leaf of the point ``x``, whose coordinates have the type ``of_type``.
 
-        In the code, statements ``outside`` answer if ``x`` is outside the domain. ``read_leaf(self, fractions)``
-        appends code that finds the leaf, and returns its parameters. Return ``x`` minus the domain's corner, and the
-        parameters.
+        The statements ``outside`` run if ``x`` is outside the domain. ``read_leaf(self, fractions)`` appends code
+        that finds the leaf from the point's position, and returns the expressions of the leaf's parameters.
+
+        Return two lists of expressions: ``x`` minus the domain's lower corner, and the leaf's parameters.
         """
         x = [self.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
         if of_type == "double":
@@ -183,7 +190,7 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
-    """Return lines with the entries of an initializer in C or JavaScript, each followed by a comma."""
+    """Return lines of limited width with the entries of a C or JavaScript array, each followed by a comma."""
     lines = [""]
     for entry in entries:
         if len(lines[-1]) + len(entry) > _WIDTH:

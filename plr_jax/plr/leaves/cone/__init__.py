@@ -1,1 +1,1 @@
-"""Cone leaves: model, file format, and search for the best partition."""
+"""Cone leaves, functions ``offset + |x - source|``: their model, file format, and search for the best partition."""

@@ -1,9 +1,10 @@
 """Encode cone leaves, functions ``offset + |x - source|``: a table of sources, and the index of every leaf's source.
 
-A source is an obstacle corner or the goal. Its offset is its distance to the goal; a file stores instead its
-*parent*, the next source on its shortest path. Only *roots*, such as the goal, store offsets. Most maps have
-coordinates on a lattice, such as multiples of 0.01. Other sources, such as a goal, are *fine*: multiples of about
-``2**-26`` of the domain's width. The bits in the file are described in ``portable/FORMAT.md``.
+A source is an obstacle corner or the goal. The offset is the distance from the source to the goal. Instead of the
+offset, a file stores the source's *parent*, the next source on the shortest path from it to the goal. Only *roots*,
+such as the goal, store offsets. Most maps have coordinates on a lattice, such as multiples of 0.01. Sources off this
+lattice, such as a goal, are *fine*: their coordinates are multiples of about ``2**-26`` of the domain's width. The
+bits in the file are described in ``portable/FORMAT.md``.
 """
 
 from bisect import bisect_left
@@ -39,7 +40,10 @@ CUT_OFF = -2  # instead of a leaf's source: the goal cannot be reached from the 
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (corners, goals) as in a file: fine ones, then ones on the lattice, sorted by coordinates."""
+    """Apexes of cones (corners, goals) as in a file: first *fine* ones, which are not on the map's lattice of points.
+
+    Fine apexes are sorted by their coordinates, and so are the apexes on the lattice.
+    """
 
     num_fine: int  # size of the first group: sources that are not on the map's lattice
     exponent: int  # coordinates in the first group are multiples of 2**exponent
@@ -94,9 +98,10 @@ class StoredCones:
 def store_sources(
     sources: Sources, domain: Box, is_off: Bool[np.ndarray, "sources fractions"] | None = None
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
+    """Round sources to lattices, and merge sources that are rounded to one point.
 
-    ``is_off`` is the result of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
+    Return the stored sources, and the index of each given source among the stored sources. ``is_off`` is the result
+    of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
     """
     # 1. Check the limits.
     points, parents = sources.points, sources.parents
@@ -135,7 +140,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return which points are off the lattice of multiples of ``1 / n``: a column for each ``n`` in ``_LATTICES``."""
+    """Return, for each point and each ``n`` in ``_LATTICES``, whether a coordinate is no multiple of ``1 / n``."""
     # A coordinate x is on the lattice if |n x - round(n x)| <= n * rounding. This tolerance is a little more than the
     # rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
@@ -163,7 +168,10 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    """Write the sources: coordinates in steps of two lattices; for roots, offsets; for other sources, parents."""
+    """Write the coordinates of sources in lattice steps, then their parents (see :class:`StoredSources`).
+
+    Instead of a parent, a root has its offset.
+    """
     fine, others = np.split(sources.code, [sources.num_fine])
     exponent, fraction = sources.exponent, sources.fraction
     groups = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, fraction, fraction)
@@ -252,7 +260,11 @@ def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, " roots"]:
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "count dim"]:
-    """Decode the coordinates of sources in lattice steps; the first coordinates are stored as differences."""
+    """Decode the coordinates of ``count`` sources, in lattice steps.
+
+    Along the first axis, the file has differences of successive coordinates. ``origin`` is the domain's lower corner
+    in lattice steps.
+    """
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
@@ -290,7 +302,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 class ConeFiles:
-    """An encoder of cone leaves that computes file sizes; apexes are ``sources``, obstacle corners and goals."""
+    """An encoder of cone leaves that computes file sizes; ``sources`` are the possible apexes, corners and goals."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
@@ -305,11 +317,17 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's apex; leaves without a path, < 0, get another leaf's apex."""
+        """Encode cone leaves; ``source`` has the index of each leaf's apex among the sources.
+
+        A negative index marks a leaf without a path to the goal; it gets another leaf's apex.
+        """
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
-        """Return the size of a file of leaves with these apexes, as :meth:`Limits.file_size` computes it."""
+        """Return the size in bytes of a file of leaves with the apexes ``source``: see :meth:`Limits.file_size`.
+
+        Apexes are indices of sources; a leaf that is cut off from the goal has ``CUT_OFF``.
+        """
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         num_cut_off = int(np.count_nonzero(source == CUT_OFF))
@@ -319,7 +337,10 @@ class ConeFiles:
         return self.num_bytes(source, limits) <= limits.max_bytes
 
     def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
-        """Encode leaves and the sources that their paths need; also return the number of bits of the sources."""
+        """Encode leaves, given the index of each leaf's apex; also return the number of bits of the sources.
+
+        Only the sources on paths from the apexes to the goal are encoded.
+        """
         sources = self._sources
         # 1. A leaf without a path gets the apex of the last leaf before it that has one (else of the first).
         leaf = np.flatnonzero(source >= 0)

@@ -2,7 +2,8 @@
 
 These partitions have no proof; ``worst_first.py`` finds partitions with small proven errors.
 
-1. Every dyadic box gets the cone ``offset + |x - source|`` of least mean error at its samples (``fit_boxes``).
+1. Every box that halving the domain can give gets the cone ``offset + |x - source|`` of least mean error at the box's
+   samples (``fit_boxes``).
 2. Dynamic programming finds the tree of least error plus a price per leaf that fills the file (``_largest_tree``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``change_sources``).
 """
@@ -120,10 +121,10 @@ class Lattice:
         return samples
 
     def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
-        """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape of a box.
+        """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape that occurs.
 
-        The boxes ``box[row]`` have this shape. The samples of box ``box[row[i]]`` have the indices
-        ``first_sample[i] + offset``. These are all samples of the box, not only some as in :attr:`samples`.
+        The boxes ``box[row]`` have the shape. All samples of box ``box[row[i]]`` have the indices ``first_sample[i] +
+        offset``.
         """
         shape_of_box = np.searchsorted(list(self.first.values()), box, side="right") - 1
         for index, shape in enumerate(self.first):
@@ -155,7 +156,7 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 class BoxFits:
     """The cone ``distance of source + |x - source|`` fitted to each box of a lattice, and its errors at samples.
 
-    The error at a sample is the absolute difference of its distance to the goal and the cone.
+    The error at a sample is the absolute difference between the cone and the sample's distance to the goal.
     """
 
     goal: GoalSamples
@@ -185,11 +186,11 @@ Indices: TypeAlias = Int[np.ndarray, " options"]
 def option_errors(
     goal: GoalSamples, start: Indices, offset: Int[np.ndarray, " k"], source: Indices, shortfall: float = np.inf
 ) -> Float[np.ndarray, "3 options"]:
-    """Compare options, each a box and the cone of a source in the box, with the distances at samples of the box.
+    """Compute the errors of *options* at samples: an option is a box with the cone of a source.
 
-    Option ``i`` has the samples ``start[i] + offset`` and the source ``source[i]``. Rows of the result: the weighted
-    sum of errors; the largest error; and the weight of samples that a wall hides from the source. These are samples
-    whose distance is more than ``shortfall`` above the cone.
+    Option ``i`` has the samples ``start[i] + offset`` and the source ``source[i]`` (indices). The result has three
+    rows: the weighted sum of errors; the largest error; and the weight of samples that a wall hides from the source.
+    A sample counts as hidden if its distance to the goal is more than ``shortfall`` above the cone.
     """
     # With the sample x and the source s:  above = distance(x) - (distance(s) + |x - s|),    error = |above|.
     result = np.zeros((3, len(start)))
@@ -211,8 +212,8 @@ def option_errors(
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
     """Find each box's best cone among the best cones of its halves; errors up to ``negligible`` count as 0.
 
-    Errors of a *mixed* box, whose samples use several sources, are estimated from at most 64 of its samples. Other
-    boxes are exact at all samples.
+    A *mixed* box has samples whose paths use different sources. Its errors are estimated from at most 64 of its
+    samples. The cone of any other box is exact at all its samples.
     """
     # 1. The smallest boxes, which are the last ones, have one sample each, whose source they take.
     num, num_samples = lattice.num_boxes, len(goal.source)
@@ -261,7 +262,7 @@ class SampledTree(NamedTuple):
 def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float, max_depth: int) -> SampledTree:
     """Return the tree of boxes whose leaves have the least sum of ``costs`` (one per box) plus ``price`` per leaf.
 
-    No leaf has more than ``max_depth`` halvings.
+    No leaf comes from more than ``max_depth`` halvings.
     """
     # 1. Dynamic programming from the smallest boxes up: a box costs the least of its cost as a leaf and, for each
     # axis, the sum of the costs of its halves.
@@ -383,9 +384,10 @@ class FamilyTask:
     goals_at_once: ClassVar[int] = 1
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], None]:
-        """Return the largest tree within the limits and its leaves, in a list; None in it if no sample has a path.
+        """Return a list with the largest tree within the limits, and its leaves, for the only oracle in ``oracles``.
 
-        The second result is None: no sources of leaves are known, unlike those of :class:`WorstFirst`.
+        The list has None if no sample has a path to the goal. The second result is None. (:class:`WorstFirst` returns
+        the sources of the leaves there.)
         """
         (oracle,) = oracles
         goal = goal_samples(oracle, self.shared)
@@ -403,7 +405,10 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | WorstFirst | None:
-    """Return a builder of cone leaves for goals in ``first``'s workspace; None if limits allow too many leaves."""
+    """Return a builder of cone leaves for the goals of one family; None if the limits allow too many leaves.
+
+    ``first`` is the distance function to one of the goals.
+    """
     # 1. Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)

@@ -29,7 +29,8 @@ _UNDERFLOW = 1.1e-19  # root of the smallest normal 32-bit float; squares of sma
 class Cone(LeafModel):
     """The leaf model ``"cone"``, functions ``offset + |x - source|``, for lengths of shortest paths among polygons.
 
-    The source is the first corner of shortest paths from a leaf, or the goal; the offset is its distance to the goal.
+    The source is the first corner of shortest paths from a leaf, or the goal. The offset is the source's distance to
+    the goal.
     """
 
     name = "cone"
@@ -121,7 +122,7 @@ def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, " leaves"] |
 
 
 def require_goals(goals: Any) -> Any:
-    """Return the stored goals; ``ValueError`` if there are none."""
+    """Return ``goals``, the index of each leaf's nearest goal; ``ValueError`` if it is None (not stored)."""
     if goals is None:
         raise ValueError(
             "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "

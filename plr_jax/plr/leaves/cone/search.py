@@ -1,7 +1,7 @@
 """Find the best partition into cone leaves, functions ``offset + |x - source|``, for one goal and a file's limits.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. The price per leaf is found at which the tree of least error plus prices fills the file (``best_cones_of_goal``).
+2. A search finds the price per leaf at which the tree of least error plus prices fills the file (``PriceSearch``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 
@@ -57,7 +57,7 @@ class ConeBoxes(Rows):
 
     @property
     def peak(self) -> Float[np.ndarray, " boxes"]:
-        """The largest error of each cone; if ``by_side``, times the square root of box area / domain area."""
+        """The largest error of each cone; if ``by_side``, times the square root of (box's area / domain's area)."""
         # With this factor, boxes along a wall cost the same however often they are halved, so they are halved until
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
@@ -69,10 +69,11 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, " halves"],
         known_keys: UInt64[np.ndarray, " known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
-        """Compute the halves of boxes ``parent`` that are not known yet, in the order of their first appearance.
+        """Halve boxes, and compute the halves that are not known yet, in the order of their first appearance.
 
-        ``known_keys`` are hashes of the known boxes. Return the new boxes, their hashes, and the hashes of all
-        halves. Two boxes may share a half: the upper half of a left half is the left half of an upper half.
+        Half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``. ``known_keys`` are hashes of the
+        known boxes. Return the new halves, their hashes, and the hashes of all halves. Two boxes may share a half:
+        the upper half of a left half is the left half of an upper half.
         """
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
@@ -84,7 +85,10 @@ class ConeBoxes(Rows):
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
-    """Return a quarter of the machine epsilon of 32-bit floats, times the largest finite distance."""
+    """Return the error up to which a cone counts as exact, as a query computes in 32-bit floats.
+
+    It is a quarter of the machine epsilon of these floats times the largest finite distance.
+    """
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
@@ -97,9 +101,10 @@ def fit_boxes(
     reach: Reach | None = None,
     most_options: int = _MOST_TRIED,
 ) -> ConeBoxes:
-    """Choose each box's cone, of at most ``most_options`` sources, by the least integral of proven error.
+    """Choose the cone of each box that has the least integral of proven error, after trying a few sources.
 
-    ``negligible`` is the largest error that counts as 0. See :class:`ConeBoxes` for the other arguments.
+    A box tries at most ``most_options`` sources. ``negligible`` is the largest error that counts as 0. ``cells`` are
+    the boxes, and the cells of ``visible``. See :class:`ConeBoxes` for the other arguments.
     """
     # 1. If all paths from a box go straight to one source, its cone is exact.
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
@@ -152,9 +157,9 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, " options"], source: Int[np.ndarray, " options"]
 ) -> tuple[Float[np.ndarray, " options"], Float[np.ndarray, " options"]]:
-    """Return bounds of the largest error, and of the error's integral, of the cone of ``source[i]`` in ``box[i]``.
+    """Return bounds of the largest error, and of the error's integral, of cone ``source[i]`` in box ``box[i]``.
 
-    Integrals are over the free space of the box, in workspace units cubed.
+    The boxes are the cells of ``visible``. Integrals are over the free space of the box, in workspace units cubed.
     """
     # Row r is piece `piece[r]` in the box of option `option[r]`, with the cone of this option.
     piece, option = take_ragged(visible.first_piece, box)
@@ -179,7 +184,7 @@ _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visib
 
 
 class LeafOptions(NamedTuple):
-    """Candidate sources for leaves; one row for each pair of a leaf and a candidate.
+    """Candidate sources for leaves; entry ``i`` of each array is for one pair of a leaf and a candidate.
 
     A leaf has candidates if a wall may hide its present source (a corner or the goal) from a part of the leaf.
     """
@@ -196,7 +201,10 @@ class LeafOptions(NamedTuple):
 
 
 def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " selected"]) -> ConeBoxes:
-    """Return boxes by their numbers, which count the boxes of the first level, then of the second, and so on."""
+    """Return the boxes with the given numbers, in the given order.
+
+    Boxes are numbered from 0: first all boxes of the first level, then all boxes of the second level, and so on.
+    """
     first_number = np.cumsum([0, *(len(boxes_of_level.source) for boxes_of_level in levels)])
     level = np.searchsorted(first_number, number, side="right") - 1
     used_levels = np.unique(level) if len(level) else [0]
@@ -207,9 +215,10 @@ def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " selec
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
-    """Pair boxes with all sources that paths from some of their points may use; ``pattern`` places the samples.
+    """Pair each box with all sources that paths from some of its points may use.
 
-    Boxes are left out if all of their free space sees their present source, or if they have very many sources.
+    Boxes are left out if all of their free space sees their present source, or if they have more than 64 sources.
+    ``pattern`` has the positions in a box of the samples that estimate errors.
     """
     # 1. List the pairs of a box and a source (keys: box * count + source). A source is visible from all of a box if
     # it is visible from all of each of its pieces.
@@ -243,10 +252,11 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 
 
 def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
-    """Choose a source for each leaf: where possible, one that all of the leaf sees.
+    """Choose a source for each leaf: where possible, a source that all of the leaf sees.
 
-    The largest proven error does not rise. ``fits`` tells whether the file of leaves with these sources is within its
-    limits.
+    ``boxes`` are the leaves with their present sources. The largest proven error of all leaves does not rise.
+    ``fits(sources)`` tells whether the file of leaves with these sources is within its limits. ``pattern`` has the
+    positions of samples in a leaf.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -255,9 +265,11 @@ def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[L
 def change_sources(
     source: LeafSources, options: LeafOptions, total: float, most: float, fits: Callable[[LeafSources], bool]
 ) -> LeafSources:
-    """Give leaves other sources than ``source``, where walls hide less, while the file of all leaves ``fits``.
+    """Replace the ``source`` of some leaves by a source that walls hide from less of the leaf; return all sources.
 
-    The largest errors of new cones are at most ``most``. ``total`` is the mean error of all leaves before.
+    ``fits(sources)`` tells whether the file of leaves with these sources is within its limits; if not all changes
+    fit, the most useful changes are made. The largest error of a new cone is at most ``most``. ``total`` is the mean
+    error over the domain with the present sources.
     """
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
@@ -292,9 +304,12 @@ def best_cones_of_goal(
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
-    ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before
-    step 3 of this module.
+    ``visible`` has the whole domain as its only cell. ``run(tree, step)`` replaces a tree by ``step(tree)`` until
+    there is none, and returns the last tree. ``reach``, if known, tells from where the goal can be reached. At the
+    end, some leaves change to a source that more of the leaf sees; ``pattern`` has the positions of the samples that
+    show this.
+
+    Return the tree, its leaves as in a file, and the boxes of the leaves, with their sources before these changes.
     """
     # 1. Start from the domain as the only box; `search` appends boxes to `levels`.
     negligible = max(limits.tolerance, query_resolution(visible.distance))

@@ -1,9 +1,10 @@
-"""Grow partitions into cone leaves with small proven errors, for many goals of one workspace together.
+"""Grow trees of cone leaves with small proven errors, for many goals of one workspace at once.
 
-1. The domain is cut into equal boxes, much fewer than leaves.
-2. All boxes whose proven error exceeds a threshold are halved. Each goal has its own threshold, which falls until the
-   file exceeds its limits (``_Search``).
-3. The largest tree within the limits has the first of these splits, in the order of errors (``_GoalTree``).
+1. Cut the domain into equal boxes, far fewer than the expected leaves.
+2. Halve all boxes whose proven error exceeds a threshold. Each goal has its own threshold, which falls until the
+   goal's file exceeds its limits (``_Search``).
+3. Sort each goal's splits by falling error. The goal's tree has the first of these splits, as many as the limits
+   allow (``_GoalTree``).
 
 The boxes of all goals are processed together, since NumPy is slow for short arrays. The tree of a goal does not
 depend on the other goals.
@@ -40,7 +41,10 @@ _FULL = 0.99  # used share of the limits at which a tree is large enough
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
-    """The nodes of the trees of several goals: the equal boxes of step 1, and the halves of nodes."""
+    """Table of the nodes of several goals' trees; each field has one entry per node.
+
+    A node is a box: one of the equal boxes into which the domain is cut first, or half of another node.
+    """
 
     goal: Int[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # number of the node of which this one is a half; -1 for the boxes of step 1
@@ -54,10 +58,10 @@ class _Nodes(Rows):
 
 
 class _GoalTree:
-    """The nodes of one goal. For any number ``n``, the first ``n`` splits in the order of keys make a tree.
+    """The nodes of one goal's tree, with its splits sorted by falling key (proven error).
 
-    They do, since no key is larger than the parent's, and parents come before their halves: a node's split never
-    comes before its parent's.
+    For any ``n``, the first ``n`` splits make a tree: no split comes before the split of its parent node. The reason
+    is that no key is larger than the parent's key, and among equal keys, parents come first.
     """
 
     def __init__(self, nodes: _Nodes, goal: int, files: ConeFiles, limits: Limits) -> None:
@@ -75,27 +79,33 @@ class _GoalTree:
 
     @property
     def largest_open_key(self) -> float:
-        """The largest key of a node that is not split."""
+        """The largest key (proven error) of the unsplit nodes that may still be split; 0 if there are none."""
         return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
 
     def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
-        """Return the leaves of the tree that the first ``num_splits`` splits, by decreasing key, create.
+        """Return the leaves of the tree that has only the first ``num_splits`` splits.
 
-        Leaves are indices of ``nodes``, from left to right.
+        Splits are sorted by falling key (proven error). Leaves are indices of ``nodes``, from left to right.
         """
         leaf = np.flatnonzero((self._split_rank >= num_splits) & (self._made_by < num_splits))
         return leaf[np.argsort(self.nodes.path[leaf])]
 
     def used_share(self, num_splits: int) -> float:
-        """Return the share of the limits that the tree with the first splits takes; above 1 if it exceeds them."""
+        """Return the used share of the limits for the tree that has only the first ``num_splits`` splits.
+
+        The share is number of leaves / ``max_leaves`` or file size / ``max_bytes``, whichever is larger. It is above
+        1 if the tree exceeds the limits.
+        """
         source, limits = self.nodes.source[self.leaves(num_splits)], self._limits
         num_bytes = self._files.num_bytes(source, limits) if np.isfinite(limits.max_bytes) else 0
         return max(len(source) / limits.max_leaves, num_bytes / limits.max_bytes)
 
     def most_splits(self, fits: int, share_of_fits: float, share_of_all: float) -> int:
-        """Return the most splits within the limits, or nearly so many.
+        """Return the largest number of splits whose tree is within the limits, or nearly the largest.
 
-        ``fits`` splits are within the limits. The other arguments are the used shares of ``fits`` and of all splits.
+        ``fits`` is a number of splits already known to be within the limits, or 0. ``share_of_fits`` and
+        ``share_of_all`` are the used shares of the limits (:meth:`used_share`) for ``fits`` splits and for all
+        splits.
         """
         # False position: the used share counts as linear between a number of splits that fits and one beyond.
         beyond, share_of_beyond = self.num_splits, share_of_all
@@ -113,7 +123,11 @@ class _GoalTree:
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
-        """Return the tree with the first splits, below levels whose axes are ``axes_above``."""
+        """Return the complete tree: the equal cut of the domain, then the first ``num_splits`` splits.
+
+        The equal cut halves the domain along ``axes_above[0]``, then all halves along ``axes_above[1]``, and so on.
+        Splits are sorted by falling key (proven error).
+        """
         axis = np.where(self._split_rank < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))  # level by level, from left to right
         order = order[self._made_by[order] < num_splits]
@@ -123,7 +137,7 @@ class _GoalTree:
 
 
 class _Search:
-    """The search for the threshold of one goal, and for the largest tree within the limits."""
+    """State of the search for one goal's error threshold, and for its largest tree within the limits."""
 
     def __init__(self, files: ConeFiles, largest_error: float) -> None:
         self.files = files
@@ -131,7 +145,11 @@ class _Search:
         self._fits, self._share_of_fits = 0, 0.0  # number of splits of the last tree within the limits; used share
 
     def num_splits(self, tree: _GoalTree) -> int | None:
-        """Return the number of splits of the largest tree within the limits; None if the threshold was lowered."""
+        """Return the number of splits of the goal's final tree, or None if the search must go on.
+
+        The search goes on if ``tree`` with all its splits is within the limits and some nodes may still be halved.
+        Then the attribute ``threshold``, the error above which nodes are halved, is lowered.
+        """
         share = tree.used_share(tree.num_splits)
         if share > 1 or not tree.largest_open_key:
             return tree.most_splits(self._fits, self._share_of_fits, share)
@@ -154,9 +172,14 @@ class WorstFirst:
         return max(1, int(_LEAVES_AT_ONCE / self.num_leaves))
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], CellSources]:
-        """Return each goal's tree and leaves, and the sources of all leaves, those of the first goal first.
+        """Return the tree and the stored cones of each goal, and the *sources* of all leaves.
 
-        There is no tree if no path leads to the goal, or if the limits are too narrow for the boxes of step 1.
+        ``oracles`` has one distance function per goal; all are of one workspace. The sources of a leaf are the
+        corners (or the goal) to which shortest paths from the leaf may go first. They are listed for the leaves of
+        the first goal, then of the second goal, and so on.
+
+        In two cases, a goal gets None instead of a tree and cones. Either no path leads to the goal. Or the limits
+        are too narrow for the equal boxes into which the domain is cut first.
         """
         # 1. Cut the domain into equal boxes, along x and y in turn. Each box is a node of each goal's tree. Sources
         # of all goals are numbered one goal after the other, `num_sources` for each goal.
@@ -224,7 +247,8 @@ class WorstFirst:
 def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
     """Return the axis along which to halve each box, so that the sum of the halves' largest errors is least.
 
-    It is -1 if the limits allow no halving. Errors are those of the box's cone at corners of its convex pieces.
+    The axis is -1 if the limits allow no halving. Both halves are judged by the box's present cone. Its errors are
+    measured at the corners of the convex pieces of free space in the box.
     """
     # 1. Errors, by corner and piece: |min over the piece's sources s of (d[s] + |x - s|)  -  the box's cone at x|.
     visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
