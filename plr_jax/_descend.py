@@ -93,10 +93,12 @@ def descend(
             units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
         space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
-        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
-            each path ends at the goal to which the shortest path was found. The field counts as 0 at each goal, so
-            its errors, or costs of ending at a goal, do not change which goal that is.
-        cost_map: Factor of the motion cost in the field. None: 1 everywhere.
+        goal: Goal point, ``(dim,)``, in free space or on its boundary. If costs are lengths in a workspace, there may
+            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found. The
+            cost-to-go counts as 0 at each goal, so its errors, or costs of ending at a goal, do not change which goal
+            that is.
+        cost_map: Factor of the motion cost at each point: the map for which ``distance_fn`` was computed. None: the
+            factor is 1 everywhere.
 
     Returns:
         Status, path, length and cost for each start. With a cost map, costs are integrated to about 0.1 % or better;

@@ -14,9 +14,8 @@ Classes that have the members of a protocol, among others, and functions that as
     SymmetricFn           Euclidean, ReedsShepp             construct
     HeuristicFn           SumOverRobots                     bl_plan
 
-Tests by ``isinstance`` see only whether an object has members of these names. So ``NearestGoal``, which answers for
-cells only if all its functions are VisibilityGraphs of one map, is always a ``CellwiseFn``; in other cases, its
-``cell_sources`` is None.
+``isinstance(x, Protocol)`` tests only whether ``x`` has members with the protocol's names. So a ``NearestGoal`` is
+always a ``CellwiseFn``, but its ``cell_sources`` is None unless all its functions are VisibilityGraphs of one map.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,10 +77,10 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Goals, and the points where shortest paths to the nearest goal may turn.
+    """The *sources* of a distance function: goals, and the points where shortest paths to the nearest goal may turn.
 
-    The shortest path from any point starts with a straight segment to one of these points, its *source*. Sources that
-    reach a goal and are their own parents are called *roots*. The constructor checks two conditions:
+    The first segment of any shortest path ends at a source. Sources that reach a goal and are their own parents are
+    called *roots*. The constructor checks two conditions:
 
     - Every root has the distance 0, so it is a goal. No path to a goal is better continued to another goal, and
       sources at one place have equal distances, so that files may merge them.
@@ -108,7 +107,8 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 class CellwiseFn(_PointFn, Protocol):
     """A distance function in the plane that knows where shortest paths from the points of a box may turn first.
 
-    ``cell_sources`` is a method that takes the box, or None if the function does not know.
+    ``cell_sources(domain)`` divides the free space in the box ``domain`` into convex pieces, and returns for each
+    piece the points where paths from it may turn first. ``cell_sources`` is None if the function has no such answer.
     """
 
     @property

@@ -460,7 +460,11 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], CellSources]:
-    """Return an oracle's ``cell_sources``, by which bounds are proven; ``ValueError`` if there are none."""
+    """Return ``oracle.cell_sources`` if bounds can be proven for PLRs in ``domain``; else raise ``ValueError``.
+
+    The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells (see
+    :func:`certify`).
+    """
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

@@ -55,10 +55,10 @@ def test_planner_stops_at_cost_factor():
 
 def test_planner_improves_its_path_until_limit():
     problem = scenes.cross(2)
-    first = planned(problem, None)
-    same = planned(problem, None, cost_factor=1.0, max_expansions=first.stats.num_expansions)
+    first = planned(problem, exact(problem))
+    same = planned(problem, exact(problem), cost_factor=1.0, max_expansions=first.stats.num_expansions)
     assert same.cost <= first.cost
-    best = planned(problem, None, cost_factor=1.0, max_expansions=first.stats.num_expansions + 120)
+    best = planned(problem, exact(problem), cost_factor=1.0, max_expansions=first.stats.num_expansions + 120)
     assert best.status is Status.EXPANSION_LIMIT and best.cost < first.cost
     assert best.stats.num_expansions > first.stats.num_expansions
 

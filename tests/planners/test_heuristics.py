@@ -13,7 +13,7 @@ from plr_jax import Box, DiscRobot, Euclidean, Problem, RectangleRobot, construc
 from plr_jax.planners import straight_line, sum_of_distances, zero
 
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])
-UNEQUAL = Problem(ROOM, [DiscRobot(0.4), RectangleRobot(2, 1)], [(1, 1, 0), (1, 8, 0)], [(4, 5, 0), (8, 8, 3)], 0.5)
+PAIR = Problem(ROOM, [DiscRobot(0.4), RectangleRobot(2, 1)], [(1, 1, 0), (1, 8, 0)], [(4, 5, 0), (8, 8, 3)], 0.5)
 
 
 def taxicab(x):
@@ -32,7 +32,7 @@ def test_straight_line_adds_lengths_and_shorter_turns():
     q = [[(1, 1), (9, 9)], [(4, 5), (6, 5)]]
     assert np.array_equal(straight_line(DISCS).per_robot(q), [[5, 0], [0, 5]])
     assert np.array_equal(straight_line(DISCS)(q), [5, 5])
-    terms = straight_line(UNEQUAL).per_robot([[(1, 1, 7.0), (8, 8, -3.0)]])
+    terms = straight_line(PAIR).per_robot([[(1, 1, 7.0), (8, 8, -3.0)]])
     assert np.allclose(terms, [[5, 0.5 * (2 * np.pi - 6)]], rtol=1e-14)
 
 
@@ -59,7 +59,7 @@ def test_empty_batches_and_infinite_distances():
 @given(st.integers(0, 2**32 - 1))
 def test_straight_line_bounds_every_path_from_below(seed):
     rng = np.random.default_rng(seed)
-    for problem in (DISCS, UNEQUAL):
+    for problem in (DISCS, PAIR):
         middle = rng.uniform(-7, 17, (rng.integers(1, 5), *problem.goals.shape))
         path = np.concatenate([middle, problem.goals[None]])
         assert straight_line(problem)(path[:1])[0] <= path_cost(problem, path) * (1 + 1e-12) + 1e-12

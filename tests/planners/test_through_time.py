@@ -26,7 +26,7 @@ def plan_of(timetable, i):
     return motion, arrives
 
 
-@pytest.mark.parametrize("problem", [TRIO, scenes.crowd(6)], ids=["mixed", "crowd"])
+@pytest.mark.parametrize("problem", [TRIO, scenes.crowd(6)], ids=["trio", "crowd"])
 def test_motions_fit_where_robots_are_apart(problem):
     path, rng = straight(problem, 40), np.random.default_rng(1)
     timetable, others = Timetable(problem, path), problem.robots[:-1]

@@ -100,7 +100,8 @@ def store_sources(
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
     """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
 
-    ``is_off`` is the result of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
+    Return the stored sources, and the index of each given source among the stored sources. ``is_off`` is the result
+    of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
     """
     # 1. Check the limits.
     points, parents = sources.points, sources.parents
