@@ -126,7 +126,7 @@ def test_interrupted_sequential_path_gets_early_departures(monkeypatch):
     solution = planned(problem, None)
     assert solution.status is Status.INTERRUPTED and solution.makespan < 0.8 * solution.cost
     interrupt_at(monkeypatch, driver, "with_early_departures", 1)
-    solution = planned(problem)
+    solution = planned(problem, None)
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
 
