@@ -71,7 +71,7 @@ def overview(
             f"{pairs['bytes']:,} bytes, {pairs['mean']:.1g}, {pairs['nanoseconds']:,.0f} ns",
             f"polygons and exact search {polygon['bytes']:,} bytes, exact, {polygon['nanoseconds']:,.0f} ns; "
             f"best approximation {network['mean']:.1g}, {network['nanoseconds']:,.0f} ns",
-            "**ours** in time among exact ones; polygons in bytes; approximations in time",
+            "**ours** in time among exact ones; polygons in bytes; coarser approximations in time",
             "[all pairs](#all-pairs)",
         ],
         [
