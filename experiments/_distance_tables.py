@@ -234,7 +234,7 @@ def _solved(what: str, rows: list[dict[str, Any]], **shares: str) -> str:
     """A row a method and size, its tests of all kinds together; shares may be unknown."""
     table = [[what, "method", "cells or samples", "bytes", "s", "tests", *shares.values()]]
     for row in rows:
-        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.2g}"]
+        size = [f"{row['cells']:,}", f"{row['bytes']:,}", f"{row['seconds']:.3g}"]
         tests = f"{sum(row['tests'][kind] for kind in ('configurations', 'motions', 'boxes')):,}"
         table.append([row[what], row["method"], *size, tests, *(or_dash(row.get(name), ".2%") for name in shares)])
     return markdown(table, numbers=4 + len(shares))
