@@ -27,6 +27,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array, vstack
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import cg, splu
 
 from plr_jax.eikonal.elements import FunctionSpace, function_space, to_bernstein
@@ -240,7 +241,10 @@ _GAIN = 5e-4  # least relative rise of the bound that counts
 _PATIENCE = 30  # iterations without such a rise after which the solver stops
 _RESIDUAL = 1e-2  # share of the residual that conjugate gradients leave
 _MOST_STEPS = 50  # most steps of conjugate gradients
-_MOST_FACTORED = 100_000  # most unknowns of a factored matrix in three dimensions
+# Largest envelope of a factored matrix in three dimensions. At 50 million (a body in a hallway), a step with factors
+# takes a sixth of one with multigrid. At 84 million (an arm), both take as long. At 107 million, factoring takes over a
+# minute.
+_LARGEST_ENVELOPE = 80_000_000
 _COARSEST_GRID = 100  # most unknowns of the coarsest grid of multigrid
 
 
@@ -457,7 +461,7 @@ class _Splitting:
 class _Poisson:
     """The linear system (a Poisson equation) of each iteration of :class:`_Splitting`, with its factored matrix.
 
-    Large systems in more than two dimensions have a multigrid preconditioner instead.
+    Systems with large factors have a multigrid preconditioner instead.
     """
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, " goals"]):
@@ -476,10 +480,10 @@ class _Poisson:
             self.from_goals = csr_array((diags_array(stiffness) @ program.goal).T)
             matrix = matrix + self.from_goals @ program.goal
         self.matrix = csr_matrix(matrix[self._num_fixed :, self._num_fixed :])
-        # Factor the matrix if it is small or the domain has one or two axes. Else prepare conjugate gradients, with
-        # multigrid as their preconditioner.
+        # Factor the matrix if the domain has one or two axes, or three and a small or narrow free space, so that its
+        # factors are small. Else prepare conjugate gradients, with multigrid as their preconditioner.
         self._factors: Any = None
-        if program.dim <= 2 or (program.dim == 3 and len(program.weight) <= _MOST_FACTORED):
+        if program.dim <= 2 or (program.dim == 3 and _envelope(self.matrix) <= _LARGEST_ENVELOPE):
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:
@@ -501,3 +505,14 @@ class _Poisson:
         norm = float(np.linalg.norm(right - self.matrix @ guess))
         u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * norm, maxiter=_MOST_STEPS, M=self._multigrid)
         return np.append(fixed, u)
+
+
+def _envelope(matrix: csr_matrix) -> int:
+    """Return the size of a symmetric matrix's envelope in the order of reverse Cuthill and McKee.
+
+    The envelope is the sum over rows of the distance of the first entry to the diagonal: it grows with the number of
+    unknowns and with the number of unknowns across the free space.
+    """
+    row = np.argsort(reverse_cuthill_mckee(matrix, symmetric_mode=True))
+    first = np.minimum.reduceat(row[matrix.indices], matrix.indptr[:-1])
+    return int((row - first).sum())
