@@ -33,6 +33,7 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
 
     Rows are in the order of the file. Cells and errors are as for :func:`read_map`. The starts, goals and published
     lengths of a ``.scen`` file are ``np.loadtxt(path, skiprows=1, usecols=range(4, 9))``.
+    Its points are cells of a :class:`GridGraph`; add 0.5 for the centers of these cells in :func:`read_map`.
     """
     with errors_named(path) as file:
         return _passable_cells(text_of(file).splitlines())
