@@ -4,8 +4,9 @@ from ._file import save as save
 from ._geojson import read_geojson as read_geojson
 from ._geojson import read_polygons as read_polygons
 from ._geojson import read_wkt as read_wkt
-from ._movingai import read_cells as read_cells
-from ._movingai import read_map as read_map
+from ._grids import read_cells as read_cells
+from ._grids import read_map as read_map
+from ._grids import read_volume as read_volume
 from ._pictures import read_cost_map as read_cost_map
 from ._pictures import read_image as read_image
 from ._pictures import read_map_server as read_map_server
@@ -19,5 +20,4 @@ from ._published import perturbed as perturbed
 from ._published import single_door as single_door
 from ._published import tangle as tangle
 from ._published import thin_maze as thin_maze
-from ._volumes import read_volume as read_volume
 from ._workspaces import read_workspace as read_workspace
