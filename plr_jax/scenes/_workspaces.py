@@ -10,10 +10,10 @@ from shapely.geometry.base import BaseGeometry
 
 from plr_jax._files import errors_named, json_of
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.scenes._file import is_scene, load
 from plr_jax.scenes._geojson import is_geojson, read_geojson, read_polygons, read_wkt
 from plr_jax.scenes._grids import read_map
 from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, read_image, read_map_server
+from plr_jax.scenes._scenes import is_scene, load
 
 _READERS: dict[str, Callable[..., Workspace]] = {
     ".map": read_map,
