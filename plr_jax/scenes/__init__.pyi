@@ -1,6 +1,3 @@
-from ._geojson import read_geojson as read_geojson
-from ._geojson import read_polygons as read_polygons
-from ._geojson import read_wkt as read_wkt
 from ._grids import read_cells as read_cells
 from ._grids import read_map as read_map
 from ._grids import read_volume as read_volume
@@ -20,4 +17,7 @@ from ._scenes import save as save
 from ._scenes import single_door as single_door
 from ._scenes import tangle as tangle
 from ._scenes import thin_maze as thin_maze
+from ._workspaces import read_geojson as read_geojson
+from ._workspaces import read_polygons as read_polygons
+from ._workspaces import read_wkt as read_wkt
 from ._workspaces import read_workspace as read_workspace
