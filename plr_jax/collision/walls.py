@@ -17,7 +17,7 @@ from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 # Batches:
 _CHUNK = 1 << 14  # motions at a time

@@ -36,7 +36,7 @@ from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 # Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
 _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]

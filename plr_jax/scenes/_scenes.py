@@ -21,7 +21,7 @@ from plr_jax._arrays import as_finite, as_points, require_integer, shortened
 from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
+from plr_jax.robots import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
 
 _KIND = "scene"
 _VERSION = 3
