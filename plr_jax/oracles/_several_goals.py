@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_point, as_points, as_queries, as_values, is_traced, set_fields, shortened
 from plr_jax._problem import Problem
-from plr_jax._types import ArrayLike, CellSources, DimensionedFn, DistanceFn
+from plr_jax._types import ArrayLike, CellSources, DimensionedFn, DistanceFn, Reach
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 

@@ -12,9 +12,8 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
-from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points
+from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points, Reach
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.certificate import Proof

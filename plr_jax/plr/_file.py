@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import sum_of_columns
+from plr_jax._types import Reach
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach
 from plr_jax.plr.certificate import Certificate, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
-from plr_jax._types import DistanceFn, Distances, Points, ReachFn
+from plr_jax._types import BoxTest, DistanceFn, Distances, Points, Reach, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.reach import BoxTest, Reach
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, Rows
