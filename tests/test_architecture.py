@@ -19,7 +19,7 @@ LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision 
     cli guides / __main__"""
 PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame coding sampling /
     bound_classes container parallel_builds / certificate / growth / best_partition / leaves / _file / _proof /
-    tables / query / team / portable / _plr / _stack / source_sight / _trace / _construct / _construct_many"""
+    tables / query / team / portable / _plr / _stack / _trace / _construct / _construct_many"""
 PLANNER_LAYERS = """_heuristics _solution / lattice /
     best_first lacam reservations sequential shorten through_time / driver / replanning"""
 PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less
