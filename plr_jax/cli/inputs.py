@@ -82,7 +82,7 @@ class NamedMap:
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
 
-        If :attr:`goals` is None, return the own goal of a scene with one robot, or None as the goals of another map.
+        If :attr:`goals` is None, the goal is taken from a scene with one robot; other maps have no goals (None).
         """
         from plr_jax import scenes
 

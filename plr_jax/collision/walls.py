@@ -101,7 +101,8 @@ class MotionTest:
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
         """Return which motions are free.
 
-        The clearances that the grid stores decide most motions; the others are tested against walls.
+        Clearances at the centers of grid cells decide most motions. The other motions are tested against walls;
+        ``TimeoutError`` if the deadline passes before these tests end.
         """
         pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
         # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).

@@ -105,14 +105,12 @@ class NearestGoal:
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Return, for each robot, a function: the exact distance to the robot's goal, without the other robots.
+    """Return, for each robot, a function of the distance to the robot's goal, without the other robots.
 
-    Each distance function takes positions ``(n, 2)``. Distances are at most the length of the robot's own shortest
-    path, and ``inf`` at blocked positions. Robots of equal size share the preprocessing of the map.
-
-    If ``inflated``, obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), and
-    distances are those of the robot's reference point. Otherwise distances are those of a point robot, which are
-    shorter, as in section V-B of the paper (Putman et al.).
+    Each function takes positions ``(n, 2)``; distances are ``inf`` at blocked positions. If ``inflated``, obstacles
+    are grown by the robot's inscribed radius: distances of discs are exact up to a tolerance, and distances of other
+    robots are lower bounds. Otherwise distances are those of a point robot, which are shorter, as in section V-B of
+    the paper (Putman et al.). Robots of equal size share the preprocessing of the map.
     """
     first: dict[float, VisibilityGraph] = {}  # the first robot's oracle for each radius of inflation
     distance_fns = []

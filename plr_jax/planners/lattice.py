@@ -412,7 +412,7 @@ class Kind:
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, " nodes"]:
         """Return the least cost from the start of robot ``members[row]`` to each node, along shared edges.
 
-        They do not enter the goal: its cost is ``inf`` unless it equals the start.
+        Shared edges do not enter the goal, so the goal's cost is ``inf`` unless the goal is the start.
         """
         edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)

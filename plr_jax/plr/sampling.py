@@ -306,10 +306,10 @@ class Sampler:
         return fit
 
     def first_cells(self, most: int) -> CellFit:
-        """Sample the domain as one cell, then halve *urgent* cells, whose samples do not show their error.
+        """Sample the domain as one cell, then halve *urgent* cells (see :class:`CellFit`), the largest first.
 
-        Of the urgent cells (see :class:`CellFit`), the largest are halved first, until no cell is urgent or there are
-        ``most`` cells. ``ValueError`` if no sample of the resulting cells reaches the goal.
+        Stop if no cell is urgent or there are ``most`` cells. ``ValueError`` if no sample of the resulting cells
+        reaches the goal.
         """
         fit = self.root()
         while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):
