@@ -346,7 +346,10 @@ class SearchBudget:
         """Return TIME_LIMIT or MEMORY_LIMIT if the time or memory limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
-        return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
+        return None if self.has_memory() else Status.MEMORY_LIMIT
+
+    def has_memory(self, num_bytes: float | int = 0) -> bool:
+        return self.memory + num_bytes < self.max_memory
 
 
 class MemoryUse:

@@ -354,12 +354,11 @@ class Run:
         """
         joint, budget = searches.joint, self.budget
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
-        if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
+        if not budget.has_memory(num_bytes_of_table(joint, len(rows))):
             return state
-        table = None
-        with suppress(TimeoutError):
-            table = ReservationTable(joint, rows, budget)
-            # From here on the table's paths are free of collisions, whenever time is up.
+        table = ReservationTable(joint, rows, budget)
+        with suppress(TimeoutError, MemoryError):  # the table's paths are always free of collisions
+            table.reserve([*range(len(joint.lattices))])
             replan_each(table)
             self._recorded(searches, table.state)
             rng, gains = np.random.default_rng(0), in_groups
@@ -369,8 +368,6 @@ class Run:
                 self._recorded(searches, table.state)
                 gains = before - table.cost.sum() > _GAIN * before
         self.end_phase("replan")
-        if table is None:
-            return state
         table.memory_use.release()
         # Drop the rows at the end in which all robots wait, but keep one (`argmin` is the number of equal last rows).
         waits = np.all(table.state == table.state[-1], axis=1)
@@ -391,9 +388,9 @@ class Run:
         return path, factor
 
     def _fits(self, step: float) -> bool:
-        needed = self.budget.memory + num_bytes(self.problem, step)
-        self.num_bytes = max(self.num_bytes, needed)
-        return needed < self.options.max_memory
+        needed = num_bytes(self.problem, step)
+        self.num_bytes = max(self.num_bytes, self.budget.memory + needed)
+        return self.budget.has_memory(needed)
 
 
 _MOTION_BYTES = 92  # bytes of a motion while its table is built
