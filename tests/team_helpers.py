@@ -23,5 +23,5 @@ def team_of(problem, step):
 
 
 def search_of(problem, step, budget=None):
-    joint, moves = team_of(problem, step)
-    return LaCAM(joint, moves, budget or search_budget())
+    joint = joint_lattice_of(problem, step)
+    return LaCAM(joint, joint.costs_to_go, 1.0, budget or search_budget())

@@ -21,7 +21,7 @@ PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame c
     bound_classes container parallel_builds / certificate / growth / best_partition / leaves / _file /
     tables / query / team / portable / _plr / _stack / _trace / _construct / _construct_many"""
 PLANNER_LAYERS = """_heuristics _solution / lattice /
-    best_first lacam reservations sequential shorten through_time / driver / replanning"""
+    best_first lacam reservations sequential shorten through_time / searches / driver / replanning"""
 PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
 LEAVES = (Path(__file__).parents[1] / "plr_jax" / "plr" / "leaves").iterdir()

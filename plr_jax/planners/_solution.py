@@ -1,20 +1,19 @@
-"""Options and limits of the planners, the solution with its path, and its JSON file."""
+"""The solution of a planner with its path, the JSON file of a solution, and the limits of a search."""
 
 import enum
 import json
 import math
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_number, as_numbers, require_integer, shortened
+from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
 from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
-from plr_jax._problem import Problem, motion_costs, path_cost, require_problem, row_times
+from plr_jax._problem import Problem, motion_costs, path_cost, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.robots import between, rows_around
 
@@ -50,7 +49,8 @@ class Stats:
         num_children_valid: Children free of collision; for LaCAM, steps of the whole team found.
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
-        found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
+        found_by: Search that found the best path of :func:`plr_jax.bl_plan`, by its name in
+            ``BLOptions.searchers``, or "sequential".
         num_bytes: Estimated largest memory of the searches and lattices of ``bl_plan``, in bytes. It includes
             lattices that would have exceeded the memory limit, and so were not built.
     """
@@ -87,7 +87,7 @@ class Solution:
             that costs more than the cost factor allows.
         stats: Effort of the planner.
         samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
-            ``bl_plan``, nodes of LaCAM or best-first search, whichever has more, on the lattices searched last.
+            ``bl_plan``, nodes of the search that has most, on the lattices searched last.
         motions_factor: Proven upper bound of a ratio: the cost of the path before shortening, over the cost of
             the cheapest path made of motions on the same lattices. ``inf`` if nothing is proven.
         times: Time at which the path reaches each row, ``(steps,)``, from 0 to the makespan. None without a path.
@@ -262,64 +262,6 @@ def _stats_from_json(entry: Any) -> Stats:
     return Stats(**{name: entry[name] for name in _COUNTS}, seconds=seconds, history=history, found_by=found_by)
 
 
-SEARCHERS = ("lacam", "bl")
-_LARGEST_WEIGHT = 1e6
-
-
-@dataclass(frozen=True)
-class BLOptions:
-    """Options of :func:`plr_jax.bl_plan`.
-
-    Args:
-        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time,
-            which is fast, even for large teams. "bl", a best-first search over joint configurations, finds
-            coordinated maneuvers. With both, the planner also tries to move a few discs one after the other.
-        step: Side of a lattice cell, in workspace units. None: chosen for the problem, refined until it is solved.
-        heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
-            the number of robots if larger. It grows by half with each finer lattice.
-        cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
-            until a limit, it continues with smaller weights and steps; 1 usually means until a limit. A factor that
-            is met early ends the search and the shortening, so the path may cost more than without a factor.
-        lower_bound: Known lower bound of all path costs, in workspace units, such as ``exact_lower_bound(problem)``;
-            used if larger than the planner's own.
-        time_limit: Seconds, positive or ``inf``. Calls of Shapely, SciPy and the heuristic are not interrupted.
-        max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
-        max_memory: Largest number of bytes of the lattices and of the search nodes.
-
-    Raises:
-        ValueError: If an option is out of range, or ``searchers`` is empty or names an unknown search.
-    """
-
-    searchers: Sequence[str] = SEARCHERS
-    step: float | int | None = None
-    heuristic_weight: float | int | None = None
-    cost_factor: float | int = float("inf")
-    lower_bound: float | int = 0.0
-    time_limit: float | int = 60.0
-    max_expansions: float | int = float("inf")
-    max_memory: float | int = 4e9
-
-    def __post_init__(self) -> None:
-        if self.step is not None:
-            as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
-        as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < math.inf)
-        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
-            as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
-        if self.heuristic_weight is not None:
-            expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight
-            weight = as_number("heuristic_weight", weight, expected, lambda weight: 0 <= weight <= _LARGEST_WEIGHT)
-            object.__setattr__(self, "heuristic_weight", weight)
-        is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
-        if not is_some or any(name not in SEARCHERS for name in self.searchers):
-            raise ValueError(f"searchers must name at least one of {SEARCHERS}, got {self.searchers!r}.")
-
-
-def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
-    require_problem(problem)
-    if not isinstance(options, BLOptions):
-        raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
-
-
 @dataclass
 class SearchBudget:
     """Limits of a planner, and counters of its effort.
@@ -346,7 +288,10 @@ class SearchBudget:
         """Return TIME_LIMIT or MEMORY_LIMIT if the time or memory limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
-        return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None
+        return None if self.has_memory() else Status.MEMORY_LIMIT
+
+    def has_memory(self, num_bytes: float | int = 0) -> bool:
+        return self.memory + num_bytes < self.max_memory
 
 
 class MemoryUse:

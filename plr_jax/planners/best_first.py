@@ -8,7 +8,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -18,7 +18,7 @@ from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
-from plr_jax.planners.lattice import JointLattice, State
+from plr_jax.planners.lattice import JointLattice, State, Table
 
 _CHUNK = 1 << 15  # joint configurations per call of the heuristic, between two checks of the clock
 _PURPOSE = "the heuristic was known"  # ends the error message "The deadline passed before ..."
@@ -29,6 +29,9 @@ _MOTION_BYTES = 16  # bytes of a motion in a robot's score table
 _ESTIMATE_BYTES = 16  # bytes of a node in a robot's table of estimates
 _PRIMITIVE_COPIES = 3  # arrays that hold a joint child's primitives while the beam is cut
 _SCORE_BYTES = 12  # bytes of a joint child's score while the beam is cut
+# Length of the first turn, in expansions: the smaller of two limits.
+_EXPANSIONS = 1024  # divided by the number of robots
+_EXPANSIONS_OF_PAIRS = 4096  # divided by the squared number of robots
 # Batches and beams:
 _BATCH = 16  # most nodes expanded at once; the batch doubles from 1 while the search makes no progress
 _WIDTH = 1024  # initial beam width
@@ -36,7 +39,6 @@ _STORED_SHARE = 16  # the best 1 / 16 of the beam is stored as successors
 _WIDTH_GROWTH = 8  # factor of the beam width when a node's stored successors are used up
 _MAX_WIDTH = 1 << 16  # bounds the memory of a beam
 _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
-Table: TypeAlias = Float[np.ndarray, " _"]  # the estimate at each node of a robot's lattice
 
 
 class Beam(NamedTuple):
@@ -138,6 +140,8 @@ class BestFirstSearch:
                          returns for a beam 8 times as wide, unless no child is missing or the beam is the widest.
     """
 
+    is_weighted = True
+
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
         self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
         self.scores = []  # for each robot, by node and primitive: motion cost plus weighted term of the child
@@ -149,19 +153,24 @@ class BestFirstSearch:
             table = np.where(is_finite, estimate, 2 * estimate[is_finite].max(initial=0.0))
             self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
             self.least_estimate += weight * table[lattice.start]
-        self.memory_use.add(bytes_of_tables(joint))
+        self.memory_use.add(self.num_bytes_needed(joint))
         self.max_product_bytes = 0  # bytes of the widest beams so far
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices], np.int32)
+        self.first_turn = min(_EXPANSIONS / len(start), _EXPANSIONS_OF_PAIRS / len(start) ** 2)
         self.states, self.costs, self.parents = [start], [0.0], [-1]  # by node; the root has no parent
         self.claimed = {start.tobytes()}
         self.frontier = [(float(self.least_estimate), 0, 0)]  # score, order among equals, node
         self.successors: dict[int, SuccessorList] = {}
         self.next_widths: dict[int, int] = {}  # beam widths of nodes whose successors are used up
         self.num_pushed, self.batch_size, self.num_expansions = 0, 1, 0
-        self.is_complete = True  # whether no node has lost children to the cut of the widest beam
+        self.is_complete = True  # until a node loses children to the cut of the widest beam
         self.goal_node = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
         budget.num_nodes += 1
+
+    @staticmethod
+    def num_bytes_needed(joint: JointLattice) -> int:
+        return sum(_MOTION_BYTES * each.kind.child.size + _ESTIMATE_BYTES * len(each.q) for each in joint.lattices)
 
     def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search until about ``max_expansions`` nodes are expanded.
@@ -184,10 +193,7 @@ class BestFirstSearch:
             self.batch_size = 1 if self.least_estimate < nearest else min(2 * self.batch_size, _BATCH)
         if self.goal_node is not None:
             return Status.SOLVED
-        if self.frontier:
-            return None
-        # Otherwise the cut of the widest beam, which bounds the memory, lost children.
-        return Status.EXHAUSTED if self.is_complete else Status.MEMORY_LIMIT
+        return None if self.frontier else Status.EXHAUSTED
 
     @property
     def solution_states(self) -> State:
@@ -284,7 +290,3 @@ class BestFirstSearch:
     def _push(self, score: float | np.floating, node: int) -> None:
         self.num_pushed += 1
         heapq.heappush(self.frontier, (float(score), -self.num_pushed, node))  # newest first among equal scores
-
-
-def bytes_of_tables(joint: JointLattice) -> int:
-    return sum(_MOTION_BYTES * each.kind.child.size + _ESTIMATE_BYTES * len(each.q) for each in joint.lattices)

@@ -13,22 +13,10 @@ from plr_jax._problem import Problem, makespan, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
-from plr_jax.planners._solution import (
-    SEARCHERS,
-    BLOptions,
-    MemoryUse,
-    SearchBudget,
-    Solution,
-    Stats,
-    Status,
-    make_solution,
-    require_problem_and_options,
-    straight_line_bound,
-)
-from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, tabulate
-from plr_jax.planners.lacam import LaCAM, TeamMoves
+from plr_jax.planners._solution import SearchBudget, Solution, Stats, Status, make_solution, straight_line_bound
 from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations, robot_kinds
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
+from plr_jax.planners.searches import SEARCHES, BLOptions, Searches, num_bytes, require_problem_and_options
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.planners.through_time import JointPath, subdivided
@@ -45,10 +33,11 @@ _CROWD_WIDTH = 4.5  # a crowd's robots side by side are wider than this many squ
 _MAX_CROWD_GROWTH = 1.75  # largest growth of the first step for a crowd
 _PACKED = 1 / 2  # share of the free area that packed robots exceed, each in a square as wide as the narrowest
 _MAX_FIRST_TESTS = 720_000  # motion tests for the first lattices
+_TURNING = 4  # time of a motion test with turns, over the time without
 _DETOUR = 1.5  # a lattice path longer than this many straight lines suggests a passage that the lattice closes
 _LEAST_SAVING = 0.05  # share of the path costs that a finer first lattice must save
 _REFINEMENT = 1.25  # ratio of one step to the next
-# The weight of the heuristic in best-first search:
+# The weight of the heuristic:
 _WEIGHT = 2.0  # least default weight
 _WEIGHT_PER_ROBOT = 3 / 8  # default weight per robot of the team, if that is more
 _WEIGHT_GROWTH = 1.5  # from one lattice to the next finer one
@@ -145,7 +134,6 @@ class Run:
         self.began = self._mark = began
         self.samples = problem.starts[None].copy()
         self.num_bytes = 0.0  # largest memory that was used or would have been needed
-        self.extent = float(problem.workspace.bounds.width.max())
 
     def record(self, path: JointPath, found_by: str, motions_factor: float) -> None:
         """Keep a path if it is the cheapest so far.
@@ -167,8 +155,8 @@ class Run:
 
         Return SOLVED if the path needs no improvement, else None.
         """
-        # 1. Record the path, if there is one.
-        if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
+        # 1. Record the path, if there is one. A user who leaves out a default search wants to see the rest alone.
+        if {*_DEFAULTS.searchers} <= {*self.options.searchers}:
             if (path := sequential_path(self.problem)) is not None:
                 # Early departures take up to a tenth of a second: until then, an interrupt keeps the path as it is.
                 self.record(path, _SEQUENTIAL, math.inf)
@@ -201,32 +189,35 @@ class Run:
         """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
 
         From one search to the next the lattice gets finer, and the weight of the heuristic falls. If the user gave a
-        step, LaCAM searches only once, and then only the weight falls.
+        step, searches that ignore the weight search only once, and then only the weight falls.
         """
-        searchers, weight = self.options.searchers, self.options.heuristic_weight
+        weight = self.options.heuristic_weight
+        names = [name for name in SEARCHES if name in self.options.searchers]
+        weighted = [name for name in names if SEARCHES[name].is_weighted]
         step = self.options.step or first_step(self.problem, self._fits)
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_PER_ROBOT * len(self.problem.robots))
         while True:
-            status, step = self._run_searches(step, weight, searchers, bar)
+            status, step = self._run_searches(step, weight, names, bar)
             if status is not Status.SOLVED or self.cost <= self.accepted_cost:
                 return status
             if limit := self.budget.exceeded():
                 return limit
-            # Refine the lattice and lower the weight. On a given lattice LaCAM would only repeat itself.
+            # Refine the lattice and lower the weight. On a given lattice, searches that ignore the weight would only
+            # repeat themselves.
             lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
             if self.options.step is None:
                 step, weight = step / _REFINEMENT, lighter
-            elif "lacam" in searchers and "bl" in searchers:
-                searchers = ("bl",)
-            elif "lacam" not in searchers and lighter < weight:
+            elif weighted and names != weighted:
+                names = weighted
+            elif weighted and lighter < weight:
                 weight = lighter
             else:
                 return Status.EXHAUSTED
 
-    def _run_searches(self, step: float, weight: float, searchers: Sequence[str], bar: tqdm) -> tuple[Status, float]:
+    def _run_searches(self, step: float, weight: float, names: Sequence[str], bar: tqdm) -> tuple[Status, float]:
         """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
-        finest = self.options.step or _FINEST * self.extent
+        finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
         running: list[Searches] = []  # from the coarsest lattice to the finest
         is_complete = True  # whether all searches that ended had tried everything
         num_lattices = 0
@@ -245,7 +236,7 @@ class Run:
                 if fits and (joint := self._lattices(step, may_halve=self.options.step is None and not running)):
                     step = joint.step
                     with suppress(TimeoutError):
-                        running.append(Searches(self, joint, weight, searchers))
+                        running.append(Searches(joint, self.heuristic, weight, names, self.budget))
                         weight *= _WEIGHT_GROWTH
                     self.end_phase("heuristic")
                 # 3. Give all searches a turn, the newest first. (The loop may remove the present entry.)
@@ -267,7 +258,7 @@ class Run:
                             other.release()
                         self._improve(searches)
                     elif status is Status.EXHAUSTED:
-                        is_complete &= searches.is_complete
+                        is_complete &= any(search.is_complete for search in searches.running.values())
                         searches.release()
                         running.remove(searches)
                     if status not in (None, Status.EXHAUSTED):
@@ -306,11 +297,11 @@ class Run:
         finally:
             self.end_phase("lattice")
 
-    def _improve(self, searches: "Searches") -> None:
+    def _improve(self, searches: Searches) -> None:
         """Replan and shorten the path that ``searches`` found, and record each path that is the cheapest so far."""
         # 1. Replan robots one by one. If the path costs little more than the least costs, shortening alone finds what
         #    can be gained.
-        found_by, state = searches.winner
+        state = searches.running[searches.ended_by].solution_states
         path, factor = self._recorded(searches, state)
         can_replan = len(self.problem.robots) > 1 and len(state) > 1
         if can_replan and factor > _NEAR_LEAST:
@@ -319,11 +310,11 @@ class Run:
         # 2. Shorten the sequential path instead if it is still the cheapest, else this path.
         if self.shorten_sequential_path(factor):
             return
-        self._shorten(path, found_by, factor, searches.joint.step / 2)
+        self._shorten(path, searches.ended_by, factor, searches.joint.step / 2)
         # 3. If the cost is not accepted, replan groups of robots, too.
         if can_replan and self.accepted_cost < self.cost:
             path, factor = self._recorded(searches, self._replanned(searches, state, in_groups=True))
-            self._shorten(path, found_by, factor, searches.joint.step / 2)
+            self._shorten(path, searches.ended_by, factor, searches.joint.step / 2)
 
     def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
         """Shorten a path in three phases, and record the path after each phase.
@@ -340,13 +331,12 @@ class Run:
                 continue  # after shortcuts, corridors gain little for a single robot
             if phase == 2:  # add a row in the middle of every motion
                 middle = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5))
-                path = np.repeat(path, 2, axis=0)[:-1]
-                path[1::2] = middle
+                path = np.insert(path, np.arange(1, len(path)), middle, axis=0)
             path = method(self.problem, path, self.test)
             self.end_phase("shorten")
             self.record(path, found_by, factor)
 
-    def _replanned(self, searches: "Searches", state: State, in_groups: bool) -> State:
+    def _replanned(self, searches: Searches, state: State, in_groups: bool) -> State:
         """Replan robots one by one and, if ``in_groups``, in groups until the cost is accepted or little is gained.
 
         ``state`` has the lattice node of each robot at each step of the path, ``(steps, robots)``. Return this array
@@ -354,12 +344,11 @@ class Run:
         """
         joint, budget = searches.joint, self.budget
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
-        if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
+        if not budget.has_memory(num_bytes_of_table(joint, len(rows))):
             return state
-        table = None
-        with suppress(TimeoutError):
-            table = ReservationTable(joint, rows, budget)
-            # From here on the table's paths are free of collisions, whenever time is up.
+        table = ReservationTable(joint, rows, budget)
+        with suppress(TimeoutError, MemoryError):  # the table's paths are always free of collisions
+            table.reserve([*range(len(joint.lattices))])
             replan_each(table)
             self._recorded(searches, table.state)
             rng, gains = np.random.default_rng(0), in_groups
@@ -369,14 +358,12 @@ class Run:
                 self._recorded(searches, table.state)
                 gains = before - table.cost.sum() > _GAIN * before
         self.end_phase("replan")
-        if table is None:
-            return state
         table.memory_use.release()
         # Drop the rows at the end in which all robots wait, but keep one (`argmin` is the number of equal last rows).
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
-    def _recorded(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
+    def _recorded(self, searches: Searches, state: State) -> tuple[JointPath, float]:
         """Record and return the path through lattice nodes ``state``, and an upper bound of its cost ratio.
 
         The ratio is the cost of the path over the sum of the least costs of single robots on their lattices.
@@ -387,27 +374,13 @@ class Run:
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
         cost = path_cost(self.problem, path)
         factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
-        self.record(path, searches.winner[0], factor)
+        self.record(path, searches.ended_by, factor)
         return path, factor
 
     def _fits(self, step: float) -> bool:
-        needed = self.budget.memory + num_bytes(self.problem, step)
-        self.num_bytes = max(self.num_bytes, needed)
-        return needed < self.options.max_memory
-
-
-_MOTION_BYTES = 92  # bytes of a motion while its table is built
-_COLUMN_BYTES = 16  # bytes of costs-to-go and costs-to-come, per robot and node
-_TURNING = 4  # time of a motion test with turns, over the time without
-
-
-def num_bytes(problem: Problem, step: float) -> float:
-    """Estimate the memory, in bytes, of lattices of cell size ``step`` if all cells are free."""
-    total = 0.0
-    for (robot, _), members in robot_kinds(problem).items():
-        nodes = num_configurations(problem.workspace, robot, step) + 2 * len(members)
-        total += nodes * (_MOTION_BYTES * (1 + len(PRIMITIVES)) + _COLUMN_BYTES * len(members))
-    return total
+        needed = num_bytes(self.problem, step)
+        self.num_bytes = max(self.num_bytes, self.budget.memory + needed)
+        return self.budget.has_memory(needed)
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
@@ -415,77 +388,6 @@ def _num_motions_to_test(problem: Problem, step: float) -> float:
     kinds = robot_kinds(problem)
     tests = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in kinds)
     return (1 + len(PRIMITIVES)) * sum(tests)
-
-
-# Length of the first turn of each search. Best-first search takes the smaller of its two limits.
-_IDLE_STEPS = 8  # LaCAM: steps per robot without progress
-_EXPANSIONS = 1024  # best-first search: expansions, divided by the number of robots
-_EXPANSIONS_OF_PAIRS = 4096  # best-first search: expansions, divided by the squared number of robots
-_TURN_GROWTH = 1.5  # ratio of the lengths of consecutive turns
-_TERM_BYTES = 8  # bytes of a term of the heuristic; given heuristics are stored twice
-
-
-class Searches:
-    """LaCAM, best-first search, or both in turns, on lattices (grids of configurations) of one cell size."""
-
-    def __init__(self, run: Run, joint: JointLattice, weight: float, searchers: Sequence[str]):
-        self.joint, self.weight, self.searchers, self.budget = joint, weight, searchers, run.budget
-        self.memory_use = MemoryUse(self.budget)
-        num_terms = sum(len(lattice.q) for lattice in joint.lattices) * (1 if run.heuristic is None else 2)
-        self.memory_use.add(int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_terms)
-        heuristic = run.heuristic
-        self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, self.budget.deadline)
-        self.running: dict[str, LaCAM | BestFirstSearch] = {}
-        if "lacam" in searchers:
-            self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), self.budget)
-        self.is_complete = True  # False if the search ended because its beams were cut
-        self.turn = 1.0  # length of the next turn, as a multiple of the first
-
-    def run(self, bar: tqdm) -> Status | None:
-        """Run each search for a while, longer at every call.
-
-        Return why a search ended, or None if all searches can go on. ``bar`` shows the progress.
-        """
-        status = None
-        num_robots = len(self.joint.lattices)
-        finds_all = "lacam" in self.running  # LaCAM leaves out nothing
-        if finds_all:
-            status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
-        # Best-first search begins as soon as its tables fit into the memory. Without LaCAM, it must fit at once.
-        has_memory = "bl" in self.running or self.budget.memory + self.num_bytes_needed < self.budget.max_memory
-        if status is None and "bl" in self.searchers and has_memory:
-            if "bl" not in self.running:
-                self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, self.budget)
-            expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
-            search = self.running["bl"]
-            status = search.run(max(1, int(self.turn * expansions)), bar)
-            assert isinstance(search, BestFirstSearch)
-            if status is Status.MEMORY_LIMIT and not search.frontier:  # its beams were cut; LaCAM goes on
-                self.is_complete = finds_all
-                status = None if finds_all else Status.EXHAUSTED
-        elif not finds_all:
-            return Status.MEMORY_LIMIT
-        self.turn *= _TURN_GROWTH
-        return status
-
-    def release(self) -> None:
-        for search in (self, *self.running.values()):
-            search.memory_use.release()
-
-    @property
-    def winner(self) -> tuple[str, State]:
-        """Name of the search that reached the goals, and its path: the robots' lattice nodes, ``(steps, robots)``."""
-        return next((name, each.solution_states) for name, each in self.running.items() if each.goal_node is not None)
-
-    @property
-    def node_states(self) -> State:
-        starts = np.array([[lattice.start for lattice in self.joint.lattices]])
-        return max((search.node_states for search in self.running.values()), key=len, default=starts)
-
-    @property
-    def num_bytes_needed(self) -> int:
-        """Additional memory, in bytes, that best-first search needs to begin; 0 once it runs."""
-        return 0 if "bl" in self.running else bytes_of_tables(self.joint)
 
 
 def first_step(

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
-from plr_jax.planners.lattice import JointLattice
+from plr_jax.planners.lattice import JointLattice, Table
 
 Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
 JointNode: TypeAlias = Int[np.ndarray, " robots"]  # the lattice node of each robot
@@ -32,6 +32,7 @@ _ALIGNED = 1 / 16  # share of the tolerance within which a configuration counts 
 _MOST_CHOICES = 100  # choices per robot in one step, after which no robot is asked to make way
 _MOST_FAILURES = 8  # failures of a robot to make way, after which it is not asked again
 # LaCAM:
+_IDLE_STEPS = 8  # length of the first turn, in steps per robot without progress
 _NODE_BYTES = 1_500  # bytes of a node
 _ROBOT_BYTES = 60  # bytes of each robot of a node
 _CONSTRAINT_BYTES = 100  # bytes of the constraints of one step
@@ -51,7 +52,7 @@ class Moves(NamedTuple):
 class TeamMoves:
     """A function from a joint configuration to the :class:`Moves` of the team; ``TimeoutError`` if time is up."""
 
-    def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, " _"]]):
+    def __init__(self, joint: JointLattice, terms: Sequence[Table]):
         self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
         self.tolerance, self.deadline = joint.problem.workspace.tolerance, joint.test.deadline
         self.of_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in joint.kinds]
@@ -252,11 +253,16 @@ class LaCAM:
     first of one robot, later of two robots, and so on. PIBT then finds the motions of all other robots.
     """
 
-    def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
-        self.joint, self.moves, self.budget, self.memory_use = joint, moves, budget, MemoryUse(budget)
+    is_weighted = False  # PIBT ranks motions by estimates alone, and a weight keeps their order
+    is_complete = True  # in the end, constraints prescribe each step of the whole team
+
+    def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
+        self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
+        self.moves = TeamMoves(joint, estimates)
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
-        far = np.nan_to_num(moves.estimates(start), posinf=0.0)
+        self.first_turn: float = _IDLE_STEPS * len(start)
+        far = np.nan_to_num(self.moves.estimates(start), posinf=0.0)
         self.rest_priority = far / (1 + far.max())  # at the start and the goal: below 1, largest if the way is long
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
@@ -264,6 +270,10 @@ class LaCAM:
         self.least_estimate = float("inf")  # least sum of estimates over the nodes
         self.num_idle = 0  # steps since the least estimate fell
         self._add(start, None)
+
+    @staticmethod
+    def num_bytes_needed(joint: JointLattice) -> int:
+        return 0
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
         """Search until the goals are reached, or ``max_idle`` steps in a row bring no progress.

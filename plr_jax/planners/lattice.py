@@ -53,6 +53,7 @@ _NODES = 1 << 19  # most nodes times goals
 _SECONDS = 3e-7  # estimated time, in seconds per node
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Primitives: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # end node and cost
+Table: TypeAlias = Float[np.ndarray, " _"]  # a cost at each node of a robot's lattice
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: a node of each robot's lattice
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "*n primitives"], Bool[np.ndarray, "*n primitives"]]
 Ends: TypeAlias = Float[np.ndarray, "*#n #primitives dof"]  # ends of motions
@@ -456,8 +457,8 @@ class JointLattice:
     test: JointMotionTest
 
     @cached_property
-    def costs_to_go(self) -> list[Float[np.ndarray, " _"]]:
-        """For each robot, an array of the least costs from the nodes of its lattice to its goal.
+    def costs_to_go(self) -> list[Table]:
+        """For each robot, a table of the least costs from the nodes of its lattice to its goal.
 
         Other robots are ignored.
         """

@@ -14,16 +14,9 @@ from plr_jax._arrays import as_number, as_numbers, require_function, require_int
 from plr_jax._problem import Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.motions import motions_apart
-from plr_jax.planners._solution import (
-    BLOptions,
-    Solution,
-    Stats,
-    Status,
-    make_solution,
-    require_problem_and_options,
-    straight_line_bound,
-)
+from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
 from plr_jax.planners.driver import bl_plan, first_step
+from plr_jax.planners.searches import BLOptions, require_problem_and_options
 from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]

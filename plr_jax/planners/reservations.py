@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import take_ragged
+from plr_jax._arrays import require_time, take_ragged
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
@@ -33,8 +33,8 @@ Edges: TypeAlias = Int[np.ndarray, " _"]
 class ReservationTable:
     """The path of each robot on its lattice, and how many robots block each edge (lattice motion) at each step.
 
-    A robot blocks an edge in a step if its own motion in this step collides with the edge. ``state[t, i]`` is the
-    lattice node of robot ``i`` after ``t`` steps.
+    A robot blocks an edge in a step if its own motion in this step collides with the edge; :meth:`reserve` counts it.
+    ``state[t, i]`` is the lattice node of robot ``i`` after ``t`` steps.
     """
 
     def __init__(self, joint: JointLattice, state: State, budget: SearchBudget):
@@ -44,8 +44,7 @@ class ReservationTable:
         self._costs_to_come: dict[int, np.ndarray] = {}
         self._colliding_edges: defaultdict[tuple[int, int], dict[int, Edges]] = defaultdict(dict)  # by pair of kinds
         self._chunk = defaultdict(lambda: 1)  # by pair of kinds: edges tested at a time, adapted to their neighbors
-        members = [kind.members.tolist() for kind in self.kinds]
-        self.kind_and_row = {i: (k, row) for k, robots in enumerate(members) for row, i in enumerate(robots)}
+        self.kind = [self.kinds.index(lattice.kind) for lattice in joint.lattices]  # of each robot, as an index
         # Counts of robots by step and edge, for each kind. -1 is added to undo reservations, so the type is signed;
         # it has room for twice as many robots.
         count_type = np.min_scalar_type(-2 * state.shape[1])
@@ -61,38 +60,35 @@ class ReservationTable:
         self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs  # of robots in the team, and alone
         for i, kind in enumerate(lattice.kind for lattice in joint.lattices):
             self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
-        try:
-            for i in self.kind_and_row:
-                self.reserve(i)
-        except TimeoutError:
-            self.memory_use.release()
-            raise
 
-    def reserve(self, i: int, change: int = 1) -> None:
-        """Count robot ``i`` as blocking, in each step, all edges that collide with its motion in this step.
+    def reserve(self, robots: list[int], change: int = 1) -> None:
+        """Count the robots with these indices as blocking, in each step, all edges that collide with their motions.
 
-        ``change=-1`` undoes this. ``TimeoutError`` if time or memory runs out.
+        ``change=-1`` undoes this. ``TimeoutError`` or ``MemoryError`` if time or memory runs out.
         """
-        a = self.kind_and_row[i][0]
-        motions = self.kinds[a].edges_along(self.state[:, i])
-        for b, blocked in enumerate(self.blocked):
-            colliding = self.collisions(a, motions, b)
-            step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
-            blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
+        for i in robots:
+            a = self.kind[i]
+            motions = self.kinds[a].edges_along(self.state[:, i])
+            for b, blocked in enumerate(self.blocked):
+                colliding = self.collisions(a, motions, b)
+                step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
+                blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
         """Return, for each edge of kind ``a`` in ``edges``, all edges of kind ``b`` that collide with it.
 
         Kinds are groups of robots of equal shape and rotation weight; ``a`` and ``b`` are indices in ``kinds``. Edges
-        are given and returned as indices among the edges of their kind. ``TimeoutError`` if time or memory runs out.
+        are given and returned as indices among the edges of their kind. ``TimeoutError`` or ``MemoryError`` if time
+        or memory runs out.
         """
         ours, others = self.kinds[a], self.kinds[b]
         tree, order, first = self._near[b]
         colliding = self._colliding_edges[a, b]  # answers are cached
         missing = np.array(sorted({*edges.tolist()} - colliding.keys()), dtype=np.intp)
         while len(missing):
-            if self.budget.spent():
-                raise TimeoutError("Time or memory was spent before all collisions were found.")
+            require_time(self.budget.deadline, "all collisions were found")
+            if not self.budget.has_memory():
+                raise MemoryError("The memory limit was reached before all collisions were found.")
             part, missing = np.split(missing, [self._chunk[a, b]])
             # 1. Find edges that may collide. No motion takes a body farther than `reach` from the motion's begin.
             begin, end = ours.q[ours.begin[part]], ours.q[ours.end[part]]
@@ -117,7 +113,7 @@ class ReservationTable:
 
         The caller must have undone the robot's reservations. The result is also False if time or memory runs out.
         """
-        k, row = self.kind_and_row[i]
+        k, row = self.kind[i], self.joint.lattices[i].row
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()
         # 1. Leave out nodes through which every path costs more than `max_cost`, even without other robots.
@@ -171,9 +167,9 @@ def replan_each(table: ReservationTable) -> None:
             if table.budget.spent():
                 return
             if table.cost[i] > table.least_costs[i] * (1 + _ROUNDING):
-                table.reserve(i, -1)
+                table.reserve([i], -1)
                 table.replan(i, float(table.cost[i]))
-                table.reserve(i)
+                table.reserve([i])
         if before - table.cost.sum() <= _GAIN * before:
             return
 
@@ -185,27 +181,24 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
     replace the old paths, although the result is then False.
     """
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
-    for i in robots:
-        table.reserve(i, -1)
+    table.reserve(robots, -1)
     reserved = []
     try:
         for index, i in enumerate(robots):
             spent, needed = table.cost[robots[:index]].sum(), table.least_costs[robots[index + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
                 return False
-            table.reserve(i)
+            table.reserve([i])
             reserved.append(i)
         return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
     finally:
-        # Unless all robots found paths, restore the old ones. Also after a `TimeoutError` of `reserve`, since the
-        # caller uses `table.state`, which must be free of collisions. (Edges that collide with old paths are cached,
-        # so reserving these takes no tests.)
+        # Unless all robots found paths, restore the old ones. Also after an error of `reserve`, since the caller uses
+        # `table.state`, which must be free of collisions. (Edges that collide with old paths are cached, so reserving
+        # these takes no tests.)
         if len(reserved) < len(robots):
-            for i in reserved:
-                table.reserve(i, -1)
+            table.reserve(reserved, -1)
             table.state[:, robots], table.cost[robots] = state, cost
-            for i in robots:
-                table.reserve(i)
+            table.reserve(robots)
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:

@@ -5,22 +5,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planner_helpers import (
-    DOOR,
-    ROOMS,
-    TIGHT,
-    TIGHT_TEAM,
-    TRIO,
-    apart,
-    hallway,
-    joint_lattice_of,
-    reachable,
-    search_budget,
-)
+from planner_helpers import DOOR, ROOMS, TIGHT_TEAM, TRIO, apart, hallway, joint_lattice_of, reachable, search_budget
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, bl_plan, scenes, validate
 from plr_jax.planners import BLOptions, Status, best_first, straight_line, zero
-from plr_jax.planners.best_first import BestFirstSearch, best_successors, bytes_of_tables, tabulate
+from plr_jax.planners.best_first import BestFirstSearch, best_successors, tabulate
 
 CELL = Problem(Workspace(((0, 0), (3, 2))), [DiscRobot(0.4)] * 2, [(0.5, 0.5), (2.5, 1.5)], [(2.5, 1.5), (0.5, 0.5)])
 ENDS = [(0.5, 0.5), (1.5, 0.5), (2.5, 1.5)]
@@ -31,7 +20,8 @@ PAIR = Problem(
     [(0.5, 0.5, 1), (1.5, 1.5, 0)],
     [(1.5, 1.5, 1), (0.5, 0.5, 0)],
 )
-DISCS = Problem(TIGHT, [DiscRobot(0.4), DiscRobot(0.3)], [(0.5, 0.5), (2.5, 2.5)], [(2.5, 2.5), (0.5, 0.5)])
+DIAGONAL = [(0.5, 0.5), (2.5, 2.5)]
+DISCS = Problem(TIGHT_TEAM.workspace, [DiscRobot(0.4), DiscRobot(0.3)], DIAGONAL, DIAGONAL[::-1])
 
 
 class Separable:
@@ -216,22 +206,22 @@ def test_exhausted_search_has_all_reachable_states(problem, width, batch, monkey
     search = search_of(problem, 1.0)
     search.goal = np.full(len(problem.robots), -1)  # nowhere
     expected = reachable(search.joint)
-    assert run_on(search) is Status.EXHAUSTED
+    assert run_on(search) is Status.EXHAUSTED and search.is_complete
     states = list(map(tuple, search.node_states.tolist()))
     assert len(states) == len(set(states)) == search.budget.num_nodes and set(states) == expected
     assert not search.successors and search.budget.num_children_valid >= len(states) - 1
     # Only the bytes of nodes are still counted.
-    of_nodes = search.budget.memory - bytes_of_tables(search.joint) - search.max_product_bytes
+    of_nodes = search.budget.memory - search.num_bytes_needed(search.joint) - search.max_product_bytes
     assert of_nodes % max(1, len(states) - 1) == 0 and of_nodes >= 100 * (len(states) - 1)
 
 
-def test_cut_search_ends_at_memory_limit(monkeypatch):
+def test_cut_search_is_incomplete(monkeypatch):
     """With one child per node, the search misses reachable states, and the only way of a team."""
     monkeypatch.setattr(best_first, "_WIDTH", 1)
     monkeypatch.setattr(best_first, "_MAX_WIDTH", 1)
     search = search_of(THREE, 1.0)
     search.goal = np.full(3, -1)  # nowhere
-    assert run_on(search) is Status.MEMORY_LIMIT and not search.budget.spent()
+    assert run_on(search) is Status.EXHAUSTED and not search.is_complete
     states = set(map(tuple, search.node_states.tolist()))
     assert states < reachable(search.joint)
     cut = bl_plan(THREE, zero(), BLOptions(("bl",), step=1.0, time_limit=20))

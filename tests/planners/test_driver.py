@@ -209,6 +209,14 @@ def test_plans_repeat_whatever_is_planned_between():
     assert first.stats.num_expansions == again.stats.num_expansions > 0 and first.status is again.status
 
 
+@pytest.mark.parametrize("name", driver.SEARCHES)
+def test_planner_knows_searches_only_by_their_table(name, monkeypatch):
+    monkeypatch.setitem(driver.SEARCHES, "new", driver.SEARCHES[name])
+    known, new = (planned(ROOMS, None, step=0.5, searchers=(each,), max_expansions=400) for each in (name, "new"))
+    np.testing.assert_array_equal(known.path, new.path)
+    assert known.stats.found_by == name and new.stats.found_by == "new"
+
+
 # Refusals
 
 

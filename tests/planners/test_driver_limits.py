@@ -8,9 +8,9 @@ import pytest
 from planner_helpers import DOOR, ROOMS, exact, hallway, joint_lattice_of, nudged_discs, nudged_team, planned
 from team_helpers import FIVE
 
-from plr_jax import Problem, RectangleRobot, Workspace, exact_lower_bound, scenes, validate
+from plr_jax import BLOptions, Problem, RectangleRobot, Workspace, bl_plan, exact_lower_bound, scenes, validate, zero
 from plr_jax.collision.motions import JointMotionTest
-from plr_jax.planners import BLOptions, Status, bl_plan, driver, lacam, lattice, straight_line, sum_of_distances, zero
+from plr_jax.planners import Status, best_first, driver, lacam, lattice, searches, straight_line, sum_of_distances
 from plr_jax.planners.lacam import PIBT
 
 DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)
@@ -106,12 +106,12 @@ def interrupt_at(monkeypatch, owner, name, at):
 def test_interrupted_planner_returns_best_path(monkeypatch):
     first = planned(DOOR, exact(DOOR), step=0.5, searchers=("bl",))
     with monkeypatch.context() as patched:
-        interrupt_at(patched, driver.BestFirstSearch, "_add_child", 2 * first.stats.num_nodes)
+        interrupt_at(patched, best_first.BestFirstSearch, "_add_child", 2 * first.stats.num_nodes)
         solution = planned(DOOR, exact(DOOR), step=0.5, cost_factor=1.0, searchers=("bl",))
     assert solution.status is Status.INTERRUPTED
     assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
     assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
-    for owner, name, at, num_nodes in ((driver, "tabulate", 1, 0), (PIBT, "find", 6, 6)):  # before the first path
+    for owner, name, at, num_nodes in ((searches, "tabulate", 1, 0), (PIBT, "find", 6, 6)):  # before the first path
         with monkeypatch.context() as patched:
             interrupt_at(patched, owner, name, at)
             problem = scenes.door(20)
@@ -130,13 +130,16 @@ def test_interrupted_sequential_path_gets_early_departures(monkeypatch):
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
 
-def test_best_first_search_stops_at_memory_limit():
+def test_search_begins_only_if_its_tables_fit():
     problem = scenes.four_rooms(8)
     # The lattices fit, the tables of each robot's motions do not.
-    solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, max_memory=7e5, time_limit=5))
+    solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, max_memory=1e6, time_limit=5))
     assert solution.status is Status.MEMORY_LIMIT and not solution.solved
     np.testing.assert_array_equal(solution.samples, problem.starts[None])
-    assert 7e5 < solution.stats.num_bytes < 2e6
+    assert 1e6 < solution.stats.num_bytes < 1.2e6
+    # LaCAM has no such tables, so they do not count.
+    solution = bl_plan(problem, options=BLOptions(searchers=("lacam",), step=0.4, max_memory=7.6e5))
+    assert solution.status is Status.MEMORY_LIMIT and 7.6e5 <= solution.stats.num_bytes < 7.7e5
 
 
 def test_coarser_lattice_is_tried_if_memory_is_short():
@@ -173,11 +176,11 @@ def test_lattice_bytes_match_estimate(problem, step):
         held = tracemalloc.get_traced_memory()[0]
     finally:
         tracemalloc.stop()
-    said = driver.num_bytes(problem, step)
+    said = searches.num_bytes(problem, step)
     assert 0.3 * said < held < 1.1 * said
 
 
-@pytest.mark.parametrize("searcher", ["lacam", "bl"])
+@pytest.mark.parametrize("searcher", searches.SEARCHES)
 def test_timeout_within_search_step_is_a_time_limit(searcher, monkeypatch):
     def too_late(*_):
         raise TimeoutError
@@ -185,8 +188,7 @@ def test_timeout_within_search_step_is_a_time_limit(searcher, monkeypatch):
     monkeypatch.setattr(JointMotionTest, "apart", too_late)
     monkeypatch.setattr(lacam, "motions_apart", too_late)
     solution = bl_plan(scenes.four_rooms(2), None, BLOptions(searchers=(searcher,)))
-    assert solution.status is Status.TIME_LIMIT
-    assert not solution.solved
+    assert solution.status is Status.TIME_LIMIT and not solution.solved
 
 
 def test_costs_to_go_are_not_begun_without_enough_time(monkeypatch):

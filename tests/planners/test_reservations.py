@@ -13,16 +13,18 @@ from plr_jax.collision.motions import motions_apart
 from plr_jax.planners import Status, reservations
 
 
-def table_of(name, waiting=6, seconds=60.0):
-    problem, step = TEAMS[name]
-    search = search_of(problem, step)
+def table_of(name, waiting=6, **limits):
+    search = search_of(*TEAMS[name])
     assert search.run(10_000) is Status.SOLVED
     state = np.concatenate([search.solution_states, np.repeat(search.solution_states[-1:], waiting, axis=0)])
-    return search.joint, reservations.ReservationTable(search.joint, state, search_budget(seconds=seconds))
+    table = reservations.ReservationTable(search.joint, state, search_budget(**limits))
+    table.reserve([*range(state.shape[1])])
+    return search.joint, table
 
 
 def assert_blocked_as_from_scratch(table):
     fresh = reservations.ReservationTable(table.joint, table.state, search_budget())
+    fresh.reserve([*range(table.state.shape[1])])
     for blocked, expected in zip(table.blocked, fresh.blocked, strict=True):
         np.testing.assert_array_equal(blocked, expected)
 
@@ -57,15 +59,16 @@ def cheapest_by_networkx(joint, table, i):
 def test_replanned_robot_gets_cheapest_path(name):
     joint, table = table_of(name, waiting=3)
     expected, before = cheapest_by_networkx(joint, table, 0), table.cost[0]
-    table.reserve(0, -1)
+    table.reserve([0], -1)
     assert table.replan(0, before) and table.cost[0] == pytest.approx(expected, rel=1e-12)
-    table.reserve(0)
+    table.reserve([0])
     assert table.cost[0] <= before * (1 + 1e-12)
 
 
-def test_table_past_deadline_raises():
-    with pytest.raises(TimeoutError, match="before all collisions were found"):
-        table_of("crowd", seconds=-1.0)
+def test_table_past_limit_raises():
+    for error, limit in ((TimeoutError, {"seconds": -1.0}), (MemoryError, {"max_memory": 1e5})):
+        with pytest.raises(error, match="before all collisions were found"):
+            table_of("crowd", **limit)
 
 
 def test_memory_use_counts_table_and_collisions():

@@ -1,0 +1,181 @@
+"""Lattice searches: what the planner needs of a search, which searches there are, and how they take turns.
+
+:class:`BLOptions`, the options of the planner, has the names of the searches that shall run.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from tqdm import tqdm
+
+from plr_jax._arrays import as_number, shortened
+from plr_jax._problem import Problem, require_problem
+from plr_jax._types import HeuristicFn
+from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
+from plr_jax.planners.best_first import BestFirstSearch, tabulate
+from plr_jax.planners.lacam import LaCAM
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, Table, num_configurations, robot_kinds
+
+_TURN_GROWTH = 1.5  # ratio of the lengths of consecutive turns
+# Memory:
+_MOTION_BYTES = 92  # bytes of a motion while its table is built
+_COLUMN_BYTES = 16  # bytes of costs-to-go and costs-to-come, per robot and node
+_TERM_BYTES = 8  # bytes of a term of the heuristic; given heuristics are stored twice
+
+
+class LatticeSearch(Protocol):
+    """A search for a path of the whole team along its lattices, which can pause and continue.
+
+    ``estimates`` has, for each robot, the estimated cost-to-go at each node of its lattice. ``weight`` is the factor
+    of the estimates. The constructor, like ``run``, raises ``TimeoutError`` if time is up meanwhile.
+    """
+
+    is_weighted: bool  # whether another weight changes the search
+    is_complete: bool  # whether the search, once exhausted, has tried everything
+    memory_use: MemoryUse  # the bytes that the search holds
+    first_turn: float  # length of the first turn, in a unit of the search's choice
+
+    def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget): ...
+
+    @staticmethod
+    def num_bytes_needed(joint: JointLattice) -> int: ...  # the bytes that must be free when the search begins
+
+    def run(self, length: int, progress: tqdm | None, /) -> Status | None:
+        """Search for a turn of about this length.
+
+        Return SOLVED at the goals, EXHAUSTED if nothing is left to try, the limit that was reached, or None if
+        another turn can continue the search.
+        """
+        ...
+
+    @property
+    def solution_states(self) -> State: ...  # the joint states of the path that was found, from the starts on
+    @property
+    def node_states(self) -> State: ...  # the joint states of all nodes, in the order of creation
+
+
+# Searches by name, in the order of their turns:
+SEARCHES: dict[str, type[LatticeSearch]] = {"lacam": LaCAM, "bl": BestFirstSearch}
+
+
+@dataclass(frozen=True)
+class BLOptions:
+    """Options of :func:`plr_jax.bl_plan`.
+
+    Args:
+        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time,
+            which is fast, even for large teams. "bl", a best-first search over joint configurations, finds
+            coordinated maneuvers. With both, the planner also tries to move a few discs one after the other.
+        step: Side of a lattice cell, in workspace units. None: chosen for the problem, refined until it is solved.
+        heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
+            the number of robots if larger. It grows by half with each finer lattice.
+        cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
+            until a limit, it continues with smaller weights and steps; 1 usually means until a limit. A factor that
+            is met early ends the search and the shortening, so the path may cost more than without a factor.
+        lower_bound: Known lower bound of all path costs, in workspace units, such as ``exact_lower_bound(problem)``;
+            used if larger than the planner's own.
+        time_limit: Seconds, positive or ``inf``. Calls of Shapely, SciPy and the heuristic are not interrupted.
+        max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
+        max_memory: Largest number of bytes of the lattices and of the search nodes.
+
+    Raises:
+        ValueError: If an option is out of range, or ``searchers`` is empty or names an unknown search.
+    """
+
+    searchers: Sequence[str] = ("lacam", "bl")
+    step: float | int | None = None
+    heuristic_weight: float | int | None = None
+    cost_factor: float | int = float("inf")
+    lower_bound: float | int = 0.0
+    time_limit: float | int = 60.0
+    max_expansions: float | int = float("inf")
+    max_memory: float | int = 4e9
+
+    def __post_init__(self) -> None:
+        if self.step is not None:
+            as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
+        as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < math.inf)
+        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
+            as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
+        if self.heuristic_weight is not None:
+            expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight
+            weight = as_number("heuristic_weight", weight, expected, lambda weight: 0 <= weight <= 1e6)
+            object.__setattr__(self, "heuristic_weight", weight)
+        is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
+        if not is_some or any(name not in [*SEARCHES] for name in self.searchers):
+            raise ValueError(f"searchers must name at least one of {tuple(SEARCHES)}, got {self.searchers!r}.")
+
+
+def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
+    require_problem(problem)
+    if not isinstance(options, BLOptions):
+        raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
+
+
+@dataclass(eq=False)
+class Searches:
+    """Searches, given by their names, that take turns on lattices (grids of configurations) of one cell size."""
+
+    joint: JointLattice
+    heuristic: HeuristicFn | None  # None: costs along the lattices
+    weight: float
+    names: Sequence[str]
+    budget: SearchBudget
+
+    def __post_init__(self) -> None:
+        joint, heuristic, self.memory_use = self.joint, self.heuristic, MemoryUse(self.budget)
+        num_terms = sum(len(lattice.q) for lattice in joint.lattices) * (1 if heuristic is None else 2)
+        self.memory_use.add(int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_terms)
+        self.estimates = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, self.budget.deadline)
+        self.running: dict[str, LatticeSearch] = {}
+        self.ended_by = ""  # the search that ended, by its name
+        self.turn = 1.0  # length of the next turn, as a multiple of the first
+
+    def run(self, bar: tqdm) -> Status | None:
+        """Give each search a turn, longer at every call; ``bar`` shows the progress.
+
+        Return the status of a search that ended, or None if a search can go on. A search that is exhausted, but has
+        left out something, ends only itself. The other searches then continue.
+        """
+        can_go_on = False
+        for name in self.names:
+            # 1. Begin the search as soon as there is memory for it.
+            if name not in self.running and self.budget.has_memory(SEARCHES[name].num_bytes_needed(self.joint)):
+                self.running[name] = SEARCHES[name](self.joint, self.estimates, self.weight, self.budget)
+            # 2. Let it search.
+            if (search := self.running.get(name)) is not None:
+                status = search.run(max(1, int(self.turn * search.first_turn)), bar)
+                if status is None:
+                    can_go_on = True
+                elif search.is_complete or status is not Status.EXHAUSTED:
+                    self.ended_by = name
+                    return status
+        self.turn *= _TURN_GROWTH
+        nothing_left = Status.EXHAUSTED if len(self.running) == len(self.names) else Status.MEMORY_LIMIT
+        return None if can_go_on else nothing_left
+
+    def release(self) -> None:
+        for search in (self, *self.running.values()):
+            search.memory_use.release()
+
+    @property
+    def node_states(self) -> State:
+        starts = np.array([[lattice.start for lattice in self.joint.lattices]])
+        return max((search.node_states for search in self.running.values()), key=len, default=starts)
+
+    @property
+    def num_bytes_needed(self) -> int:
+        """Additional memory, in bytes, that the searches need that have not begun."""
+        return sum(SEARCHES[name].num_bytes_needed(self.joint) for name in self.names if name not in self.running)
+
+
+def num_bytes(problem: Problem, step: float) -> float:
+    """Estimate the memory, in bytes, of lattices of cell size ``step`` if all cells are free."""
+    total = 0.0
+    for (robot, _), members in robot_kinds(problem).items():
+        nodes = num_configurations(problem.workspace, robot, step) + 2 * len(members)
+        total += nodes * (_MOTION_BYTES * (1 + len(PRIMITIVES)) + _COLUMN_BYTES * len(members))
+    return total
