@@ -42,8 +42,14 @@ class Cone(LeafModel):
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         return num_leaves // 2 + 256  # the constant is for some tens of sources
 
+    def check_domain(self, domain: Box) -> None:
+        if domain.is_periodic:
+            raise ValueError(
+                f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use "
+                "continuous leaves or planes instead."
+            )
+
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
-        _require_euclidean(sampler.domain)
         if sampler.cache is None:
             raise ValueError(
                 "Leaves of kind 'cone' need a distance function in the plane that answers for whole cells, such as "
@@ -64,7 +70,6 @@ class Cone(LeafModel):
         write_cones(body, domain, stored)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCones:
-        _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
 
     def coefficients(self, cells: Cells, stored: StoredCones) -> Coefficients:
@@ -127,11 +132,3 @@ def require_goals(goals: Any) -> Any:
             "the ends of trace(plr, x).paths."
         )
     return goals
-
-
-def _require_euclidean(domain: Box) -> None:
-    if domain.is_periodic:
-        raise ValueError(
-            f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use continuous "
-            "leaves or planes instead."
-        )
