@@ -24,6 +24,7 @@ from plr_jax.plr.tree import Cells, tree_of, tree_of_axes
 UNIT = Box([0, 0], [1, 1])
 LINEAR = [name for name in leaf_names() if isinstance(leaf_model(name), LinearLeafModel)]  # all but cones
 INDEPENDENT = [name for name in LINEAR if isinstance(leaf_model(name), IndependentLeafModel)]  # may jump anywhere
+PROVEN = [name for name in leaf_names() if leaf_model(name).splits_by_proven_error]
 
 
 def points(n, seed, dim=2):

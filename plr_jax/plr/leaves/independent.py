@@ -108,6 +108,7 @@ class IndependentLeafModel(LinearLeafModel):
     """
 
     coefficient_bits: int | None = None
+    splits_by_proven_error = True
 
     def __post_init__(self):
         bits, allowed = self.coefficient_bits, (FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1))

@@ -37,6 +37,7 @@ class Cone(LeafModel):
     least_bytes = 0.5
     has_deep_trees = True
     has_exact_cone_bounds = True
+    splits_by_proven_error = True
     has_compact_code = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
