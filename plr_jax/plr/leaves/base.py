@@ -30,6 +30,7 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
+MAX_TIED_DIM = 6  # largest dimension of continuous leaves, which have 64 corners there
 UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
@@ -118,8 +119,13 @@ class LeafModel(ABC):
         """Return the least number of samples in a cell: as many as a plane has coefficients, unless overridden."""
         return 1 + dim
 
-    def check_domain(self, domain: Box) -> None:  # noqa: B027
+    def check_domain(self, domain: Box) -> None:
         """Raise ``ValueError`` if the model does not support the domain."""
+        if domain.dim > self.max_dim:
+            raise ValueError(
+                f"Leaves of kind {self.name!r} need a domain of up to {self.max_dim} dimensions, got {domain.dim}. "
+                f"Use {'continuous leaves or ' * (domain.dim <= MAX_TIED_DIM)}planes, which may jump, instead."
+            )
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         # The file size from which the largest depth of leaves follows, if ``num_leaves`` is the only limit.

@@ -22,7 +22,7 @@ from plr_jax.plr.finite_elements import monomials as monomials_of_order
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
-from plr_jax.plr.leaves.base import Coefficients, PolynomialLeafModel, Rules, read_step
+from plr_jax.plr.leaves.base import MAX_TIED_DIM, Coefficients, PolynomialLeafModel, Rules, read_step
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
@@ -376,17 +376,9 @@ class Continuous(PolynomialLeafModel):
     def __post_init__(self):
         if self.order not in (0, 1):
             raise ValueError(f"order must be 0 or 1, got {self.order!r}.")
-        # In 6 dimensions, a leaf has 64 corners already. In 3 dimensions, a corner of smooth leaves may hang on two
-        # leaves with different cubics.
-        name, num_powers, max_dim = (("continuous", 2, 6), ("smooth", 4, 2))[self.order]
+        # In 3 dimensions, a corner of smooth leaves may hang on two leaves with different cubics.
+        name, num_powers, max_dim = (("continuous", 2, MAX_TIED_DIM), ("smooth", 4, 2))[self.order]
         set_fields(self, name=name, num_powers=num_powers, max_dim=max_dim)
-
-    def check_domain(self, domain: Box) -> None:
-        if domain.dim > self.max_dim:
-            raise ValueError(
-                f"Leaves of kind {self.name!r} need a domain of up to {self.max_dim} dimensions, got {domain.dim}. "
-                f"Use {'continuous leaves or ' if self.order else ''}planes, which may jump, instead."
-            )
 
     def min_samples(self, dim: int) -> int:
         return 2**dim + 1  # one more than corners, whose values determine a leaf's function
