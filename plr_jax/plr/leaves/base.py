@@ -171,7 +171,7 @@ class LinearLeafModel(LeafModel):
 
 
 class PolynomialLeafModel(LinearLeafModel):
-    """A leaf model with polynomials of coordinates ``t``, from 0 to 1 across the leaf.
+    """A base class of leaf models with polynomials of coordinates ``t``, from 0 to 1 across the leaf.
 
     Each coordinate has exponents from 0 to ``num_powers - 1``. A query reads the coefficient of each product of
     powers; the exponent of the last axis varies fastest.

@@ -96,15 +96,11 @@ def quantize(center: Distances, others: Coefficients, bits: int) -> StoredCoeffi
 
 @dataclass(frozen=True)
 class IndependentLeafModel(LinearLeafModel):
-    """A leaf model that fits the function of each leaf to the samples in this leaf alone; functions may jump.
+    """A base class of leaf models that fit the function of each leaf to the samples in this leaf alone.
 
-    The first coefficient is the value at a leaf's center. The others shrink as the cell is halved: see
-    :meth:`halvings`. There are ``min_samples(dim)`` coefficients.
-
-    Args:
-        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Other
-            coefficients usually take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from
-            8 to 16 with the smallest expected error of fit and rounding. Other values raise ``ValueError``.
+    Functions may jump between leaves. The first coefficient is the value at a leaf's center. The others shrink as the
+    cell is halved: see :meth:`halvings`. There are ``min_samples(dim)`` coefficients. ``coefficient_bits`` is the
+    number of bits of a stored center value, as in :class:`Plane`.
     """
 
     coefficient_bits: int | None = None
