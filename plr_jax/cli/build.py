@@ -123,9 +123,8 @@ def build(
     check_output(output, inputs=(map,))
 
     # 1. Read the map, and prepare its exact oracle.
-    reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks}
-    options = {**reading, "polygons": polygons, "radius": radius}
-    given = {key: value for key, value in options.items() if value is not None}
+    options = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
+    given = {key: value for key, value in {**options, "radius": radius}.items() if value is not None}
     workspace, goals = NamedMap(map, parse_goals(goal) if goal else None, given).read()
     if goals is None:
         raise ValueError(f"expected a goal, but {map} has none, or one for each of several robots: give --goal X,Y.")
@@ -170,8 +169,7 @@ def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tole
     proven = plr.max_error
     assert proven is not None
     typer.echo(f"leaf    {plr.leaf.name}: no error above {proven:.3g}, proven")
-    # The tolerance limits the proven error of planes and cones, and the sampled error of other leaves.
-    limited = proven if plr.leaf.has_exact_cone_bounds else report.max
+    limited = proven if plr.leaf.splits_by_proven_error else report.max
     if tolerance is not None and limited > _ROUNDED * tolerance:
         typer.echo(f"        --tolerance {tolerance:g} was not reached")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")

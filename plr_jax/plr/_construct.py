@@ -52,7 +52,6 @@ _PARTS = 8  # boxes along each axis of a leaf, to measure how much of the leaf i
 _CROWDED = 4  # cones are tried if all corners take at most this many times the byte budget
 _ROOMY = 0.5  # only cones are tried if all corners take at most this share of the byte budget
 _BYTES_A_SOURCE = 7  # bytes of a corner in a file if coordinates are on no lattice; else a corner takes at least 3
-_MOST_TIED_AXES = 6  # most dimensions of continuous leaves
 _ERROR_POINTS = 4096  # random points at which errors of models are compared
 
 
@@ -227,7 +226,7 @@ def _build_leaves(
     """
     # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
     model = leaf_model(leaf)
-    model.check_dim(domain.dim)
+    model.check_domain(domain)
     table_corners(domain)  # raises if 32-bit queries cannot represent the domain
     require_integer("seed", seed, 0)
     cell_sources = getattr(distance_fn, "cell_sources", None)
@@ -398,7 +397,7 @@ def _models_to_try(
     # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
     others = ["plane", "continuous", "smooth"]
     if proof is Proof.NONE:
-        others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]
+        others = ["continuous" if domain.dim <= leaf_model("continuous").max_dim else "plane"]
     if root is None:
         return others
     corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(root.sources.distances))

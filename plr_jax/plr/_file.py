@@ -87,12 +87,11 @@ def decode(data: bytes) -> DecodedFile:
     """Decode the bytes of a PLR's file; ``ValueError`` if they are invalid."""
     container = Container.from_bytes(data)
     layer = container.last
-    dim = container.domain.dim
     # 1. The tree and its leaves.
     leaf = leaf_of_code(layer.leaf_code)
-    leaf.check_dim(dim)
+    leaf.check_domain(container.folded_domain)
     body = BitReader(layer.body)
-    tree = read_tree(body, dim)
+    tree = read_tree(body, container.domain.dim)
     cells = tree.leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"it splits a cell {deepest} times along one axis, more than {FRACTION_BITS}")
@@ -102,7 +101,7 @@ def decode(data: bytes) -> DecodedFile:
     # 2. The proof, then goals and cut-off leaves, if the header says so.
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
-    certificate, straight = read_proof(body, Proof(layer.proof_code), len(cells), dim)
+    certificate, straight = read_proof(body, Proof(layer.proof_code), len(cells), cells.dim)
     if container.names_goals:
         if not isinstance(leaf, Cone):
             raise ValueError("it names goals, but its leaves have no sources")

@@ -176,10 +176,6 @@ def _interpolation(
 # and derivatives from the cubic of its host leaf; they determine the cubic on either half of the face, so the
 # function stays continuous across it.
 
-POWERS = (2, 4)  # number of powers of t along each axis, by order
-# Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
-# hang on two leaves with different cubics.
-MAX_DIM_OF_ORDER = (6, 2)
 # By order: coefficients of the basis functions on [0, 1]. Axes: end of the interval, value or derivative, power of t.
 #   order 0:  1 - t, t
 #   order 1:  (1 - t)**2 (1 + 2 t), t (1 - t)**2;  t**2 (3 - 2 t), -t**2 (1 - t)
@@ -233,18 +229,17 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 
 
 def enclosing_planes(
-    order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
+    powers: Float[np.ndarray, "n count count"], center: Points, reach: Points
 ) -> tuple[Distances, Points, Distances]:
     """Expand each leaf's polynomial, of two coordinates, at the center of a box in the leaf.
 
     Return the value and the gradient at the center, and an upper bound of the absolute sum of all other Taylor terms
-    in the box. ``center`` and ``reach`` (half of the box's width along each axis) are in local coordinates, from 0 to
-    1 across the leaf. ``order`` is 0 for multilinear and 1 for cubic functions.
+    in the box. ``powers[:, p, q]`` are the coefficients of ``x**p y**q``. ``center`` and ``reach`` (half of the box's
+    width along each axis) are in local coordinates, from 0 to 1 across the leaf.
     """
-    # In the plane, f = sum of P[p, q] x**p y**q = sum of Q[a, b] (x - cx)**a (y - cy)**b over the exponents. Beside
+    # With powers P, f = sum of P[p, q] x**p y**q = sum of Q[a, b] (x - cx)**a (y - cy)**b over the exponents. Beside
     # Q[0, 0], Q[1, 0] and Q[0, 1], each term is at most |Q[a, b]| * reach_x**a * reach_y**b.
-    count = POWERS[order]
-    powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
+    count = powers.shape[1]
     # A shift has the coefficients of each power of x in powers of x - c, by the binomial theorem:
     #   x**n = sum over k of comb(n, k) * c**(n - k) * (x - c)**k.
     n, k = np.arange(count)[:, None], np.arange(count)

@@ -10,7 +10,7 @@ import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass
-from typing import TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -112,9 +112,7 @@ class Nodes(Rows):
     axis: Int[np.ndarray, " nodes"]  # along which the node is or would be split
     key: Float[np.ndarray, " nodes"]  # the least priority on the path from the root; -inf if it may not be split
     child: Int[np.ndarray, " nodes"]  # the lower child, which the upper child follows; -1 for a leaf
-    is_cut_off: Bool[
-        np.ndarray, " nodes"
-    ]  # whether the cell has free points that cannot reach the goal, and no others
+    is_cut_off: Bool[np.ndarray, " nodes"]  # whether the cell has free points, none of which can reach the goal
 
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2  # a binary tree of n leaves has 2 n - 1 nodes
@@ -286,8 +284,7 @@ FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
 """Function ``(cells, parent_keys)`` that samples and fits cells, applies the split rules, and returns nodes."""
 
 
-@dataclass(frozen=True)
-class Encoding:
+class Encoding(NamedTuple):
     """The sizes of files and the rounding errors of stored leaves, for several numbers of bits per value."""
 
     choices: Sequence[int]  # numbers of bits to choose from

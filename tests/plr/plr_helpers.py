@@ -16,13 +16,15 @@ from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.base import LinearLeafModel
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
-from plr_jax.plr.leaves.plane import encode_planes
+from plr_jax.plr.leaves.independent import IndependentLeafModel, quantize
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tables import build_tables
 from plr_jax.plr.tree import Cells, tree_of, tree_of_axes
 
 UNIT = Box([0, 0], [1, 1])
 LINEAR = [name for name in leaf_names() if isinstance(leaf_model(name), LinearLeafModel)]  # all but cones
+INDEPENDENT = [name for name in LINEAR if isinstance(leaf_model(name), IndependentLeafModel)]  # may jump anywhere
+PROVEN = [name for name in leaf_names() if leaf_model(name).splits_by_proven_error]
 
 
 def points(n, seed, dim=2):
@@ -106,9 +108,10 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
     cells, model = tree.leaves, leaf_model(leaf)
     unreachable = rng.random(len(cells)) < 0.2
     unreachable[0] = False
-    if leaf == "plane":
+    if leaf in INDEPENDENT:
         center = np.where(unreachable, np.inf, rng.normal(size=len(cells)))
-        stored = encode_planes(center, rng.normal(size=(len(cells), dim)), int(rng.choice([4, 11, 16, 20, 32])))
+        others = rng.normal(size=(len(cells), model.min_samples(dim) - 1))
+        stored = quantize(center, others, int(rng.choice([4, 11, 16, 20, 32])))
     elif leaf == "cone":
         goals = Sources(rng.normal(size=(5, dim)), np.zeros(5), np.arange(5))
         stored = ConeFiles(goals, Box([-5.0] * dim, [5.0] * dim)).stored(rng.integers(5, size=len(cells)))
@@ -126,7 +129,7 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
 def quarters_in_another_order():
     """Return file contents of the unit square's quarters, first split along axis 1: values 0, 1 below, 2, 3 above."""
     tree = tree_of_axes([np.array([1]), np.array([0, 0]), np.full(4, -1)], 2)
-    planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
+    planes = quantize(np.arange(4.0), np.zeros((4, 2)), 32)
     return DecodedFile(UNIT, leaf_model("plane"), tree, planes)
 
 

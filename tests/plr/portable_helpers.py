@@ -61,8 +61,8 @@ class SlowReader:
     """A reader that follows ``plr_jax/plr/portable/FORMAT.md``, one point at a time, in scalars of NumPy.
 
     A point is compared with each cell. The reader takes from the package the planes of unreachable leaves, the domain
-    of a folding, and the polynomials of continuous and smooth leaves. Those polynomials were computed independently,
-    in exact fractions, for the answers in ``tests/plr/vectors``.
+    of a folding, and the polynomials of leaves. Those of continuous and smooth leaves were computed independently, in
+    exact fractions, for the answers in ``tests/plr/vectors``.
     """
 
     def __init__(self, plr):
@@ -169,17 +169,17 @@ class SlowReader:
         return int(holds.argmax())
 
     def _leaf_value(self, above):
-        leaf, name, cells, f32 = self._leaf(above), self.contents.leaf.name, self.contents.tree.leaves, np.float32
+        leaf, model, cells, f32 = self._leaf(above), self.contents.leaf, self.contents.tree.leaves, np.float32
         n = self.numbers[leaf]
-        if name == "plane":
+        if model.name == "plane":
             return reduce(add, n[1:] * above, n[0])
-        if name == "cone":
+        if model.name == "cone":
             d = above - n[1:]
             return n[0] + np.sqrt(reduce(add, d * d))
         u = above * self.scale
         u = np.where(self.start < 1, u + (self.start - f32(1)), u)
         t = u * (1 << cells.depth[leaf]).astype(f32) - cells.position[leaf].astype(f32)
-        return _horner(n[len(t) :].reshape([2 if name == "continuous" else 4] * len(t)), t)
+        return _horner(n[len(t) :].reshape([model.num_powers] * len(t)), t)
 
 
 def _horner(coefficients, t):

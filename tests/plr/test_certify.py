@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from piece_helpers import TEN, WORKSPACES, box, fan_workspace, general_workspace, lattice_workspace
-from plr_helpers import UNIT, cone
+from plr_helpers import PROVEN, UNIT, cone
 
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
@@ -163,7 +163,7 @@ def test_bounds_of_classes_are_narrow_and_take_few_bytes(maze):
     assert narrowest < narrow < 0.6 * wide
 
 
-@pytest.mark.parametrize("leaf", ["plane", "cone"])
+@pytest.mark.parametrize("leaf", PROVEN)
 def test_bounds_hold_in_free_space_without_samples(leaf):
     """A slit that no sample of the whole domain meets; continuous leaves, which need samples, are refused."""
     walls = [box(0, 0, 10, 4.69999), box(0, 4.70001, 10, 10), box(3, 4, 3.5, 4.700009)]
@@ -177,7 +177,7 @@ def test_bounds_hold_in_free_space_without_samples(leaf):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("leaf", ["plane", "cone"])
+@pytest.mark.parametrize("leaf", PROVEN)
 def test_bounds_hold_behind_walls_far_smaller_than_cells(leaf):
     """A spike whose tip is just beyond a border of cells, with a goal beside it."""
     tip, half = np.array([0.4, 0.2501]), 0.125e-5

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from plr_helpers import UNIT
+from plr_helpers import INDEPENDENT, LINEAR, UNIT
 
 from plr_jax import Box, BuildOptions, Euclidean, VisibilityGraph, Workspace, scenes
 from plr_jax.plr import certify, construct, evaluate, from_bytes, stack
@@ -42,7 +42,10 @@ def at_seam(n=200):
     return np.column_stack([np.full(n, -PI), np.linspace(0, 2, n)])
 
 
-@pytest.fixture(scope="module", params=["plane", pytest.param("continuous", marks=pytest.mark.full), "smooth"])
+SLOW = {"continuous": pytest.mark.full}
+
+
+@pytest.fixture(scope="module", params=[pytest.param(leaf, marks=SLOW.get(leaf, ())) for leaf in LINEAR])
 def plr(request):
     return construct(on_cylinder, CYLINDER, leaf=request.param, max_leaves=150)
 
@@ -61,7 +64,7 @@ def test_both_ends_of_a_periodic_axis_have_equal_values(plr):
         twin = from_bytes(plr.to_bytes())
         np.testing.assert_allclose(jax.jit(twin)(jnp.asarray(x + PERIOD)), twin(x), atol=1e-9)
         is_near = np.abs(np.asarray(twin(x + 10 * PERIOD)) - np.asarray(twin(x))) < 1e-9
-        assert is_near.mean() > (0.99 if plr.leaf.name == "plane" else 0.9999)
+        assert is_near.mean() > (0.99 if plr.leaf.name in INDEPENDENT else 0.9999)
 
 
 def test_tied_leaves_and_gradients_are_continuous_at_the_seam(plr):
@@ -71,7 +74,7 @@ def test_tied_leaves_and_gradients_are_continuous_at_the_seam(plr):
     y = jnp.asarray(inside(CYLINDER, 200), jnp.float32)
     np.testing.assert_allclose(gradient(y + jnp.array([4 * PI, 0])), gradient(y), atol=2e-3)
     assert (np.abs(np.asarray(gradient(y))).max(axis=1) > 0.1).all()
-    if leaf == "plane":
+    if leaf in INDEPENDENT:
         return
     below, above = (np.asarray(plr((x + sign * step).astype(np.float32))) for sign in (-1, 1))
     assert np.abs(above - below).max() < 2e-5

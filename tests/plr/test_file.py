@@ -31,7 +31,7 @@ from plr_jax.plr.coding import BitWriter, write_tree
 from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_names
 from plr_jax.plr.leaves.continuous import StoredValues
-from plr_jax.plr.leaves.plane import StoredPlanes
+from plr_jax.plr.leaves.independent import StoredCoefficients
 from plr_jax.plr.tree import Cells, tree_of
 
 MOST = 50 * 2**20
@@ -53,7 +53,7 @@ def test_saved_and_pickled_plrs_are_equal(model, tmp_path):
 
 @given(st.integers(0, 1000), st.sampled_from([1, 2, 3, 18]), st.sampled_from(LINEAR), st.integers(0, 7))
 def test_files_are_read_as_written(seed, dim, leaf, wraps):
-    dim = min(dim, {"continuous": 3, "smooth": 2}.get(leaf, 18))
+    dim = min(dim, leaf_model(leaf).max_dim)
     contents = random_contents(seed, dim, leaf, periodic=tuple(bool(wraps >> axis & 1) for axis in range(dim)))
     data = encode(contents)
     again = decode(data)
@@ -204,7 +204,7 @@ def test_invalid_leaf_parameters_raise(leaf, write, message):
 @pytest.mark.parametrize(("center", "half"), [(np.nan, 0), (0, -np.inf), (1e31, 0), (0, 1e31)])
 def test_float_planes_that_are_not_finite_raise(center, half):
     center, half = np.float32([[1, center, 2], [1, half, 2]]).view(np.uint32).astype(np.int64)
-    planes = StoredPlanes(32, 0.0, 1.0, center, np.stack([half, 0 * half], axis=1))
+    planes = StoredCoefficients(32, 0.0, 1.0, center, np.stack([half, 0 * half], axis=1))
     data = encode(contents_of_planes(three_leaves(), planes))
     with pytest.raises(ValueError, match="for 32-bit floats"):
         from_bytes(data)
@@ -226,7 +226,7 @@ def test_trees_that_split_in_another_order_hold_only_planes():
 def test_small_files_of_huge_tables_raise_before_allocation(axes, most):
     """Files of 266 and 154 bytes once took up to 14 GB: all leaves but one are unreachable."""
     cells = chain(axes)
-    planes = StoredPlanes(4, 0.0, 1.0, np.r_[0, np.full(len(cells) - 1, 15)], np.zeros(cells.depth.shape, int))
+    planes = StoredCoefficients(4, 0.0, 1.0, np.r_[0, np.full(len(cells) - 1, 15)], np.zeros(cells.depth.shape, int))
     files = [encode(contents_of_planes(cells, planes, Box(np.zeros(cells.dim), np.ones(cells.dim))))]
     assert len(files[0]) < most
     files += [encode(random_contents(0, cells.dim, leaf, cells)) for leaf in ["continuous"] if cells.dim < 3]

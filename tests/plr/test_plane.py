@@ -11,7 +11,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 from plr_jax import BuildOptions
 from plr_jax.plr import Continuous, Plane, construct
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.plane import FLOAT_BITS, encode_planes
+from plr_jax.plr.leaves.independent import FLOAT_BITS, quantize
 
 # Leaf models: their names and codes, and what holds of the numbers of every model with free parameters.
 
@@ -21,11 +21,7 @@ from plr_jax.plr.leaves.plane import FLOAT_BITS, encode_planes
     ("make", "wrong", "message"),
     [
         (lambda order: Continuous(order=order), 2, "order must be 0 or 1, got 2"),
-        (Plane, 3, "an integer, 32 .floats. or 4 to 20, got 3"),
-        (Plane, 21, "an integer, 32 .floats. or 4 to 20, got 21"),
-        (Plane, 31, "an integer, 32 .floats. or 4 to 20, got 31"),
-        (Plane, 33, "an integer, 32 .floats. or 4 to 20, got 33"),
-        (Plane, 8.5, "an integer, 32 .floats. or 4 to 20, got 8.5"),
+        *((Plane, bits, f"an integer, 32 .floats. or 4 to 20, got {bits}") for bits in (3, 21, 31, 33, 8.5)),
     ],
 )
 def test_invalid_leaf_models_raise(make, wrong, message):
@@ -90,7 +86,7 @@ def test_rounding_errors_are_at_most_half_a_step(seed, bits, scale):
     center, half = scale * rng.uniform(-1, 5, size=30), scale * rng.normal(size=(30, 3))
     center[rng.random(30) < 0.2] = np.inf
     center[0] = scale
-    planes, blocked = encode_planes(center, half, bits), np.isinf(center)
+    planes, blocked = quantize(center, half, bits), np.isinf(center)
     again_center, again_half = planes.decode()
     np.testing.assert_array_equal(planes.unreachable, blocked)
     assert np.isinf(again_center[blocked]).all()
@@ -103,11 +99,11 @@ def test_rounding_errors_are_at_most_half_a_step(seed, bits, scale):
 
 def test_floats_and_constants_are_stored_in_32_bits():
     center, half = np.array([0.1, np.inf, -3.0]), np.array([[0.3], [np.nan], [7.0]])
-    again_center, again_half = encode_planes(center, half, FLOAT_BITS).decode()
+    again_center, again_half = quantize(center, half, FLOAT_BITS).decode()
     np.testing.assert_array_equal(again_center, center.astype(np.float32))
     np.testing.assert_array_equal(again_half, np.array([[0.3], [0.0], [7.0]], np.float32))
     for bits in (4, 8, 16):
-        planes = encode_planes(np.full(3, 2.5), np.zeros((3, 2)), bits)
+        planes = quantize(np.full(3, 2.5), np.zeros((3, 2)), bits)
         np.testing.assert_allclose(planes.decode()[0], 2.5, rtol=1e-6)
         assert not planes.unreachable.any()
 
@@ -115,4 +111,4 @@ def test_floats_and_constants_are_stored_in_32_bits():
 def test_planes_too_large_for_floats_raise():
     for center, half, bits in ((1e31, 0, 16), (1.0, -1e31, FLOAT_BITS)):
         with pytest.raises(ValueError, match="scale them down"):
-            encode_planes(np.array([center]), np.full((1, 2), half, float), bits)
+            quantize(np.array([center]), np.full((1, 2), half, float), bits)

@@ -10,7 +10,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._file import filled_coefficients
 from plr_jax.plr.leaf_faces import corner_parents, face_points, overlapping_leaves, shared_faces
 from plr_jax.plr.leaf_faces import neighbor_of_largest_contact as lenders
-from plr_jax.plr.leaves.plane import encode_planes
+from plr_jax.plr.leaves.independent import quantize
 from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 
@@ -103,14 +103,14 @@ def test_blocked_leaves_continue_the_plane_of_a_neighbor(wraps):
     half = np.array([[14 / 8, 7 / 2]] + [[0.0, 0.0]] * 3)
     slabs = Cells.root(2).split(np.array([0])).split(np.array([0, 0]))
     domain = Box((0, 0), (1, 1), periodic=(wraps, False))
-    coefficients = filled_coefficients(contents_of_planes(slabs, encode_planes(center, half, 32), domain))
+    coefficients = filled_coefficients(contents_of_planes(slabs, quantize(center, half, 32), domain))
     np.testing.assert_allclose(coefficients[1], [1 + 14 * 3 / 8 + 7 / 2, 14 / 8, 7 / 2])
     np.testing.assert_allclose(coefficients[3], [1 - 14 / 8 + 7 / 2, 14 / 8, 7 / 2] if wraps else [np.inf, 0, 0])
     np.testing.assert_array_equal(coefficients[2], [np.inf, 0, 0])
     left, right = (Cells.root(2).split(np.array([0]))[[side]] for side in (0, 1))
     low, high = (right.split(np.array([1]))[[side]] for side in (0, 1))
     cells = left.append(low.split(np.array([1])), high)
-    planes = encode_planes(np.array([np.inf, np.inf, np.inf, 9 / 4]), np.array([[0, 0]] * 3 + [[0, 3 / 4]]), 32)
+    planes = quantize(np.array([np.inf, np.inf, np.inf, 9 / 4]), np.array([[0, 0]] * 3 + [[0, 3 / 4]]), 32)
     coefficients = filled_coefficients(contents_of_planes(cells, planes))
     np.testing.assert_allclose(coefficients[[0, 2]], [[1.5, 0, 1.5], [9 / 8, 0, 3 / 8]])
     assert np.isinf(coefficients[:, 0]).tolist() == [False, True, False, False]

@@ -16,8 +16,7 @@ from plr_jax.plr.leaves.cone.worst_first import WorstFirst as WorstFirst
 from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
 from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition
-from plr_jax.plr.leaves.plane import Plane
-from plr_jax.plr.leaves.plane import StoredPlanes as StoredPlanes
+from plr_jax.plr.leaves.plane import Plane as Plane
 
 # The index of a model is its code in files, so new models go to the end.
 _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())

@@ -10,9 +10,10 @@ from jaxtyping import Float
 from plr_jax._arrays import as_finite, product_in_order, require_integer
 from plr_jax._types import CellSources, Distances, Points
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.convex_pieces import Pieces
+from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.finite_elements import enclosing_planes
 from plr_jax.plr.frame import Corner, byte_class, is_far, max_axis_depth, rows_of_class
 from plr_jax.plr.growth import DEFAULT_MAX_LEAVES, Limits, ShouldSplitRule, SplitRule, check_memory
 from plr_jax.plr.sampling import Sampler
@@ -29,6 +30,7 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
+MAX_TIED_DIM = 6  # largest dimension of continuous leaves, which have 64 corners there
 UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
@@ -47,12 +49,14 @@ class LeafModel(ABC):
 
     name: str
     num_samples: int = 96  # in a cell, by default
+    max_dim: int | float = np.inf  # largest number of axes of a domain
     least_bytes: int | float = 1  # of a leaf in a file, a power of two that may be a fraction
     has_deep_trees: bool = False  # whether small files may have deep trees, whose lookup tables have pages
     is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
+    splits_by_proven_error: bool = False  # whether, if certified, a tolerance limits proven errors, not sampled ones
     has_compact_code: bool = False  # whether the decoder of compact C headers evaluates the model
-    bits_of_powers: int = 0  # log2 of the number of powers of a coordinate in a leaf's polynomial; 0: plane or cone
+    num_powers: int = 0  # of each coordinate in a leaf's polynomial, the exponents from 0; 0: plane or cone
 
     @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any, CellSources | None]:
@@ -109,13 +113,19 @@ class LeafModel(ABC):
         """Return, for each leaf, an upper bound of the error of evaluating its function in 32-bit floats."""
 
     def num_leaf_parameters(self, dim: int) -> int:
-        return 1 + dim
-
-    def check_dim(self, dim: int) -> None:  # noqa: B027
-        """Raise ``ValueError`` if the model does not support domains of ``dim`` axes."""
+        return dim + self.num_powers**dim if self.num_powers else 1 + dim
 
     def min_samples(self, dim: int) -> int:
-        return self.num_leaf_parameters(dim)
+        """Return the least number of samples in a cell: as many as a plane has coefficients, unless overridden."""
+        return 1 + dim
+
+    def check_domain(self, domain: Box) -> None:
+        """Raise ``ValueError`` if the model does not support the domain."""
+        if domain.dim > self.max_dim:
+            raise ValueError(
+                f"Leaves of kind {self.name!r} need a domain of up to {self.max_dim} dimensions, got {domain.dim}. "
+                f"Use {'continuous leaves or ' * (domain.dim <= MAX_TIED_DIM)}planes, which may jump, instead."
+            )
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         # The file size from which the largest depth of leaves follows, if ``num_leaves`` is the only limit.
@@ -158,6 +168,72 @@ class LinearLeafModel(LeafModel):
         ends = np.eye(lo.shape[1])
         half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
         return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
+
+
+class PolynomialLeafModel(LinearLeafModel):
+    """A base class of leaf models with polynomials of coordinates ``t``, from 0 to 1 across the leaf.
+
+    Each coordinate has exponents from 0 to ``num_powers - 1``. A query reads the coefficient of each product of
+    powers; the exponent of the last axis varies fastest.
+    """
+
+    is_cell_relative = True
+
+    @abstractmethod
+    def monomials(self, dim: int) -> Float[np.ndarray, "terms powers"]:
+        """Return the functions of :meth:`basis` as polynomials of ``t``: one row of coefficients per function."""
+
+    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
+        is_inf = np.isinf(coefficients[:, 0])
+        powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), self.monomials(cells.dim))
+        powers[is_inf, 0] = np.inf
+        # The number of a cell along an axis: 2**depth + position (see :class:`LeafModel`).
+        return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
+
+    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        # Horner's rule in place[0]: part k, the coefficient of place[0]**k, is a polynomial of the other coordinates.
+        if not place:
+            return parameters[0]
+        stride = len(parameters) // self.num_powers
+        parts = [parameters[power * stride : (power + 1) * stride] for power in range(self.num_powers)]
+        total, *others = (self.value(part, place[1:], root) for part in reversed(parts))
+        for term in others:
+            total = total * place[0] + term
+        return total
+
+    def cone_minus_leaf_bounds(
+        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
+    ) -> tuple[Distances, Distances]:
+        # Taylor's expansion about the center c of a piece's bounding box: there, the leaf's function at x is
+        #   value + slope . (x - c) = intercept + slope . x,    up to an error of at most `remainder`.
+        # `center` and `half_width` are in local coordinates, from 0 to 1 across the leaf.
+        piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
+        width = hi - lo
+        center = ((piece_lo + piece_hi) / 2 - lo) / width
+        half_width = (piece_hi - piece_lo) / 2 / width
+        powers = (coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
+        value, slope, remainder = enclosing_planes(powers, center, half_width)
+        slope = slope / width
+        intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2
+        lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
+        return lowest - remainder, highest + remainder
+
+    def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
+        powers = np.abs(np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients) @ self.monomials(cells.dim))
+        num_powers = self.num_powers
+        # Relative errors, in UNIT: of the local coordinate (coordinates and steps of its computation), times the
+        # largest exponent; of Horner's rule, a product and a sum per step; and of the stored coefficients, 1. The
+        # factor 1.02 covers products of these errors.
+        of_place = (num_powers - 1) * np.ldexp(1.0, cells.depth) @ (largest_coordinates(domain) / domain.width + 4)
+        return 1.02 * UNIT * powers.sum(axis=1) * (2 * num_powers * cells.dim + 1 + of_place)
+
+
+def read_step(body: BitReader) -> list[float]:
+    """Read the offset and the step of integers that stand for ``offset + step * integer``."""
+    offset, step = body.read_floats(2).tolist()
+    if not (np.isfinite(offset) and 0 < step < np.inf):
+        raise ValueError(f"it states a step of {step} from {offset}")
+    return [offset, step]
 
 
 def check_limits(

@@ -6,34 +6,23 @@ then one sparse least-squares problem fits all values again. A file stores each 
 from a prediction by values of coarser cells.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import hash64, product_in_order, row_products, set_fields
+from plr_jax._arrays import hash64, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.finite_elements import (
-    MAX_DIM_OF_ORDER,
-    POWERS,
-    NodalSpace,
-    coefficient_matrix,
-    design,
-    enclosing_planes,
-    monomials,
-    nodal_space,
-    plane_coefficients,
-)
-from plr_jax.plr.frame import LARGEST, Corner
+from plr_jax.plr.finite_elements import NodalSpace, coefficient_matrix, design, nodal_space, plane_coefficients
+from plr_jax.plr.finite_elements import monomials as monomials_of_order
+from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
-from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
+from plr_jax.plr.leaves.base import MAX_TIED_DIM, Coefficients, PolynomialLeafModel, Rules, read_step
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
@@ -133,22 +122,6 @@ class FaceTests:
         return is_free
 
 
-def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Evaluate a polynomial of the variables ``t[0], t[1], ...``, each with exponents from 0 to ``powers - 1``.
-
-    The polynomial has ``powers ** len(t)`` coefficients; the exponent of the last variable varies fastest.
-    """
-    # Horner's rule in t[0]: part k, the coefficient of t[0]**k, is a polynomial of the other variables.
-    if not t:
-        return coefficients[0]
-    stride = len(coefficients) // powers
-    parts = [coefficients[power * stride : (power + 1) * stride] for power in range(powers)]
-    total, *others = (polynomial(powers, part, t[1:]) for part in reversed(parts))
-    for term in others:
-        total = total * t[0] + term
-    return total
-
-
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
     """A partition into leaves whose functions must agree on *tied* faces.
@@ -190,9 +163,7 @@ class StoredValues:
         return StoredValues(partition, offset, step, np.rint((values - offset) / step).astype(np.int64))
 
     @staticmethod
-    def quantize_corners(
-        partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
-    ) -> "StoredValues":
+    def quantize_corners(partition: TiedPartition, values: Coefficients, step: float) -> "StoredValues":
         # Decoded values are at least 0. A group takes the value at the last of its corners. Values at hanging corners
         # (inside another leaf's face) are ignored.
         space = partition.space
@@ -387,7 +358,7 @@ def fit_values(
 
 
 @dataclass(frozen=True)
-class Continuous(LinearLeafModel):
+class Continuous(PolynomialLeafModel):
     """The leaf models ``"continuous"`` and ``"smooth"``: functions do not jump across free faces of leaves.
 
     A face between two leaves is free if the goal can be reached from both sides of some point of the face. Functions
@@ -400,23 +371,17 @@ class Continuous(LinearLeafModel):
     """
 
     order: int = 0
-    is_cell_relative = True
     has_compact_code = True
 
     def __post_init__(self):
         if self.order not in (0, 1):
             raise ValueError(f"order must be 0 or 1, got {self.order!r}.")
-        set_fields(self, name=("continuous", "smooth")[self.order], bits_of_powers=1 + self.order)
-
-    def check_dim(self, dim: int) -> None:
-        if dim > MAX_DIM_OF_ORDER[self.order]:
-            raise ValueError(
-                f"Leaves of kind {self.name!r} need a domain of up to {MAX_DIM_OF_ORDER[self.order]} dimensions, "
-                f"got {dim}. Use {'continuous leaves or ' if self.order else ''}planes, which may jump, instead."
-            )
+        # In 3 dimensions, a corner of smooth leaves may hang on two leaves with different cubics.
+        name, num_powers, max_dim = (("continuous", 2, MAX_TIED_DIM), ("smooth", 4, 2))[self.order]
+        set_fields(self, name=name, num_powers=num_powers, max_dim=max_dim)
 
     def min_samples(self, dim: int) -> int:
-        return 2**dim + 1
+        return 2**dim + 1  # one more than corners, whose values determine a leaf's function
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues, None]:
         rounds = _Rounds(self.order, sampler, rules, limits)
@@ -431,9 +396,7 @@ class Continuous(LinearLeafModel):
         stored.write(body)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredValues:
-        offset, step = body.read_floats(2).tolist()
-        if not (np.isfinite(offset) and 0 < step < np.inf):
-            raise ValueError(f"it states a step of {step} from {offset}")
+        offset, step = read_step(body)
         tree = tree_of(cells)
         if (np.diff(tree.order) < 0).any():
             raise ValueError("its tree splits in another order than tied leaves; this library did not write it")
@@ -462,40 +425,5 @@ class Continuous(LinearLeafModel):
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         return plane_coefficients(self.order, center, half)
 
-    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
-        is_inf = np.isinf(coefficients[:, 0])
-        powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
-        powers[is_inf, 0] = np.inf
-        # The number of a cell along an axis: 2**depth + position (see :class:`LeafModel`).
-        return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
-
-    def cone_minus_leaf_bounds(
-        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
-    ) -> tuple[Distances, Distances]:
-        # Taylor's expansion about the center c of a piece's bounding box: there, the leaf's function at x is
-        #   value + slope . (x - c) = intercept + slope . x,    up to an error of at most `remainder`.
-        # `center` and `half_width` are in local coordinates, from 0 to 1 across the leaf.
-        piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
-        width = hi - lo
-        center = ((piece_lo + piece_hi) / 2 - lo) / width
-        half_width = (piece_hi - piece_lo) / 2 / width
-        value, slope, remainder = enclosing_planes(self.order, coefficients, center, half_width)
-        slope = slope / width
-        intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2
-        lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
-        return lowest - remainder, highest + remainder
-
-    def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
-        powers = np.abs(np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients) @ monomials(self.order, cells.dim))
-        num_powers = POWERS[self.order]
-        # Relative errors, in UNIT: of the local coordinate (coordinates and steps of its computation), times the
-        # largest exponent; of Horner's rule, a product and a sum per step; and of the stored coefficients, 1. The
-        # factor 1.02 covers products of these errors.
-        of_place = (num_powers - 1) * np.ldexp(1.0, cells.depth) @ (largest_coordinates(domain) / domain.width + 4)
-        return 1.02 * UNIT * powers.sum(axis=1) * (2 * num_powers * cells.dim + 1 + of_place)
-
-    def num_leaf_parameters(self, dim: int) -> int:
-        return dim + POWERS[self.order] ** dim
-
-    def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        return polynomial(POWERS[self.order], parameters, place)
+    def monomials(self, dim: int) -> Float[np.ndarray, "terms powers"]:
+        return monomials_of_order(self.order, dim)

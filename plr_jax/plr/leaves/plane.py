@@ -1,106 +1,22 @@
 """The leaf model ``"plane"``: every leaf has a plane (affine function) fitted to the samples in this leaf alone."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Int
 
 from plr_jax._arrays import sum_of_columns
 from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.certificate import LeafFunctions, Proof
-from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
-from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
-from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
-from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
-from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
-from plr_jax.plr.tree import Cells, Tree, tree_of
-
-# The bits in the file are described in ``portable/FORMAT.md``. Half of a plane's rise across its cell along each axis
-# (``half``) shrinks with the cell, so the file has a bit width for each axis and depth.
-FLOAT_BITS = 32  # bits of a center value that is stored as a float
-MIN_BITS, MAX_BITS = 4, 20  # bits of a center value that is stored as an integer
-_BUDGET_BITS = range(8, 17)  # such bits to choose from under a byte budget
-_FLOAT_INF = 0x7F800000  # bits of the 32-bit float inf
-_BITS_BITS = 6  # bits in which the file states the bits of a center value
-_WIDTH_BITS = 6  # bits in which the file states a bit width of ``half``
+from plr_jax.plr.frame import Corner, table_corners
+from plr_jax.plr.leaves.base import UNIT, Coefficients, Parameters, largest_coordinates
+from plr_jax.plr.leaves.independent import IndependentLeafModel
+from plr_jax.plr.tree import Cells
 
 
-@dataclass(frozen=True, eq=False)
-class StoredPlanes:
-    """The planes (affine functions) of all leaves, with the integers of a file.
-
-    Let ``u`` be the position in a leaf, from -1 to 1 along each axis. The leaf's value is
-    ``offset + step * (center + half . u)``. If ``bits`` is 32, ``center`` and ``half`` are the bits of 32-bit floats
-    instead; with these floats, the value is ``center + half . u``.
-    """
-
-    bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
-    offset: float
-    step: float
-    center: Int[np.ndarray, " leaves"]  # the largest number (inf, if floats) marks a leaf that cannot reach the goal
-    half: Int[np.ndarray, "leaves dim"]
-
-    @property
-    def unreachable(self) -> Bool[np.ndarray, " leaves"]:
-        return self.center == unreachable_code(self.bits)
-
-    def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each axis, the bits per number of ``half`` in leaves of depth 0, 1, ... along this axis.
-
-        ``depth`` has the number of halvings of each leaf's cell along each axis.
-        """
-        # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
-        widths = []
-        for axis, deepest in enumerate(depth.max(axis=0)):
-            largest = np.zeros(deepest + 1, np.int64)
-            np.maximum.at(largest, depth[:, axis], np.abs(self.half[:, axis]))
-            bits = np.frexp(largest)[1] + (largest > 0)
-            widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
-        return widths
-
-    def decode(self) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
-        if self.bits == FLOAT_BITS:
-            return floats_of_bits(self.center), floats_of_bits(self.half)
-        center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
-        return center, self.step * self.half
-
-
-def unreachable_code(bits: int) -> int:
-    return _FLOAT_INF if bits == FLOAT_BITS else (1 << bits) - 1
-
-
-def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
-    """Quantize planes to integers, with ``bits`` bits per center value; for 32 bits, store floats instead.
-
-    ``center`` has the value at each leaf's center, or ``inf`` for a leaf that cannot reach the goal. ``half`` has
-    half of the rise across each leaf along each axis. ``ValueError`` if values are too large to be stored.
-    """
-    is_reachable = np.isfinite(center)
-    if max(np.abs(center[is_reachable]).max(initial=0.0), np.abs(half[is_reachable]).max(initial=0.0)) > LARGEST:
-        raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
-    half = np.where(is_reachable[:, None], half, 0.0)
-    if bits == FLOAT_BITS:
-        # Bit patterns: of center values as unsigned, of `half` as signed integers, as `read` returns them.
-        of_center, of_half = (x.astype(np.float32).view(np.int32).astype(np.int64) for x in (center, half))
-        return StoredPlanes(bits, 0.0, 1.0, of_center & 0xFFFFFFFF, of_half)
-    # Codes of center values go from 0, at or just below the least value, to the largest before `unreachable_code`.
-    # Offset and step are exact in 32 bits; ``half`` takes at most 9 bits more than ``center``.
-    values = center[is_reachable] if is_reachable.any() else np.zeros(1)
-    largest_code = unreachable_code(bits) - 1
-    offset = float(np.nextafter(np.float32(values.min()), np.float32(-np.inf)))
-    spread = max(values.max() - offset, np.abs(half).max(initial=0.0) * 2**-8)
-    step = float(np.nextafter(np.float32(spread / largest_code), np.float32(np.inf)))
-    code = np.rint((np.where(is_reachable, center, offset) - offset) / step)
-    code = np.where(is_reachable, np.clip(code, 0, largest_code), unreachable_code(bits)).astype(np.int64)
-    return StoredPlanes(bits, offset, step, code, np.rint(half / step).astype(np.int64))
-
-
-@dataclass(frozen=True)
-class Plane(LinearLeafModel):
+class Plane(IndependentLeafModel):
     """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
 
     Coefficients are the value at a leaf's center, then half of the rise across the leaf along each axis.
@@ -111,94 +27,14 @@ class Plane(LinearLeafModel):
             smallest expected error of fit and rounding. Other values raise ``ValueError``.
     """
 
-    coefficient_bits: int | None = None
     name = "plane"
     num_samples = 192
     least_bytes = 2
     has_exact_cone_bounds = True
     has_compact_code = True
 
-    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        # 32 KB allow 9 halvings along each axis of the plane; deep cells next to the goal have smaller errors.
-        return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
-
-    def __post_init__(self):
-        bits, allowed = self.coefficient_bits, (FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1))
-        if bits is not None and not (isinstance(bits, int | np.integer) and bits in allowed):
-            expected = f"an integer, {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}"
-            raise ValueError(f"coefficient_bits must be {expected}, got {bits!r}.")
-
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredPlanes, None]:
-        by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
-        choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
-        choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
-
-        # 1. Nodes of the tree are cells with their planes and priorities: proven errors if possible, else the rule's.
-        def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
-            fit = fill_unsampled_planes(fit, sampler)
-            planes = np.column_stack([fit.center, fit.half])
-            if by_proof and sampler.cache is not None:
-                planes_or_zero = np.where(np.isfinite(planes), planes, 0.0)
-                functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), planes_or_zero)
-                priority = functions.largest_errors(sampler.cache.sources(fit.cells))
-            else:
-                priority = np.asarray(rules.should_split(fit), float)
-            return nodes_of_fit(fit, planes, parent_key, priority, np.asarray(rules.split(fit)), limits)
-
-        # 2. The bits per value decide the size of a file and its rounding errors. At u, the rounding error has the
-        # variance step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
-
-        def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
-            return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
-
-        def size(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> int:
-            self.write(body := BitWriter(), sampler.domain, nodes.cells[leaf], stored(nodes, leaf, bits))
-            num_cut_off = int(np.count_nonzero(nodes.is_cut_off[leaf]))
-            return limits.file_size(nodes.cells.dim, len(leaf), body.num_bits, num_cut_off)
-
-        def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> float:
-            return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
-
-        # 3. Grow the tree.
-        root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
-        encoding = Encoding(choices, size, rounding_error)
-        nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
-        tree = tree_of(nodes.cells[leaf])
-        return tree, stored(nodes, leaf[tree.order], bits), None
-
-    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
-        widths, is_reachable = stored.widths(cells.depth), ~stored.unreachable
-        body.write(np.array([stored.bits]), _BITS_BITS)
-        if stored.bits != FLOAT_BITS:
-            body.write_floats(np.array([stored.offset, stored.step]))
-        for axis_widths in widths:
-            body.write(axis_widths, _WIDTH_BITS)
-        body.write(stored.center, stored.bits)
-        for axis, axis_widths in enumerate(widths):
-            width = axis_widths[cells.depth[is_reachable, axis]]
-            body.write(stored.half[is_reachable, axis] & ((1 << width) - 1), width)  # two's complement
-
-    def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
-        bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
-        if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
-            raise ValueError(f"it states {bits}-bit values")
-        if bits != FLOAT_BITS:
-            offset, step = body.read_floats(2).tolist()
-            if not (np.isfinite(offset) and 0 < step < np.inf):
-                raise ValueError(f"it states a step of {step} from {offset}")
-        widths = [body.read_fixed_width(int(deepest) + 1, _WIDTH_BITS) for deepest in cells.depth.max(axis=0)]
-        if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
-            raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-        center, half = body.read_fixed_width(len(cells), bits), np.zeros(cells.depth.shape, np.int64)
-        is_reachable = center != unreachable_code(bits)
-        for axis, axis_widths in enumerate(widths):
-            width = axis_widths[cells.depth[is_reachable, axis]]
-            code = body.read(width)  # two's complement
-            half[is_reachable, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
-        return StoredPlanes(bits, offset, step, center, half)
-
-    def coefficients(self, cells: Cells, stored: StoredPlanes) -> Coefficients:
-        return np.column_stack(stored.decode())
+    def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
+        return cells.depth
 
     def basis(self, u: Points) -> Coefficients:
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)

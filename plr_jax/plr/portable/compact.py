@@ -29,7 +29,7 @@ from jaxtyping import Float, Int, Shaped
 from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.coding import BitWriter, bits_of_floats
 from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
-from plr_jax.plr.leaves import StoredPlanes, code_of_leaf
+from plr_jax.plr.leaves import Plane, code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
 from plr_jax.plr.tree import Tree, corner_bits
 
@@ -68,10 +68,10 @@ def compact_bytes(program: Program) -> bytes:
     if not leaf.has_compact_code:
         raise ValueError(f"The compact decoder does not know leaves of kind {leaf.name!r}: use compact=False.")
     choices = [_CompactWriter(program).with_rows()]
-    if isinstance(contents.stored, StoredPlanes) and contents.stored.bits < _FLOAT_BITS:
+    if isinstance(leaf, Plane) and contents.stored.bits < _FLOAT_BITS:
         choices.append(_CompactWriter(program).with_planes())
-    is_smooth = leaf.bits_of_powers == 2
-    if leaf.bits_of_powers == 1 or (is_smooth and program.dim == 2):
+    is_smooth = leaf.num_powers == 4
+    if leaf.num_powers == 2 or (is_smooth and program.dim == 2):
         choices.append(_CompactWriter(program).with_values(_Middles(contents, is_smooth)))
     return min(choices, key=len)
 
@@ -116,7 +116,7 @@ class _CompactWriter:
         self.offset, self.step = planes.offset, planes.step
         # 1. Find the widths, by level and field: the center value is unsigned, half-differences have a sign bit.
         is_own = ~planes.unreachable[self.leaves, None]  # other leaves continue another leaf's plane
-        codes = np.column_stack([planes.center, planes.half])[self.leaves] * is_own
+        codes = np.column_stack([planes.center, planes.others])[self.leaves] * is_own
         widths = np.zeros((self.num_levels, 1 + self.dim), np.int64)
         is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
@@ -145,7 +145,7 @@ class _CompactWriter:
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
         # 1. Compute the leaf parameters as the decoder does. The coefficients of a multilinear function follow from
         #    corner values by differences along each axis in turn: (lower, upper) becomes (lower, upper - lower).
-        if self.program.leaf.bits_of_powers == 2:
+        if self.program.leaf.num_powers == 4:
             codes = _smooth_parameters(self.tree, middles.corners, self.program.contents.domain.periodic)
             parameters = (self.step * codes + np.where(np.arange(16), 0.0, self.offset)).astype(np.float32)
         else:
@@ -183,7 +183,7 @@ class _CompactWriter:
         # 2. For planes and far domains, five doubles for each axis: ends of the leaves' domain, corner of the query's
         #    coordinates, ends of the query's domain. Each is two words, the lower one first.
         self.at_exact = self._at
-        if program.corner is not None or isinstance(contents.stored, StoredPlanes):
+        if program.corner is not None or isinstance(contents.leaf, Plane):
             box = contents.domain
             origin = np.zeros(self.dim) if program.corner is None or contents.folding is not None else program.corner
             corner = origin + table_corners(box.moved(-origin))[0]
@@ -242,10 +242,9 @@ class _CompactWriter:
         """
         # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
         #    fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
-        #    P**(dim - 1 - axis), with P = 2**bits_of_powers.
-        bits = self.program.leaf.bits_of_powers
-        axes = np.arange(self.dim)
-        of_plane = np.concatenate([[0], 1 << bits * (self.dim - 1 - axes) if bits else 1 + axes])
+        #    num_powers**(dim - 1 - axis).
+        num_powers, axes = self.program.leaf.num_powers, np.arange(self.dim)
+        of_plane = np.concatenate([[0], num_powers ** (self.dim - 1 - axes) if num_powers else 1 + axes])
         sum_of_others = np.abs(np.delete(self.parameters, of_plane, axis=1).astype(np.float64)).sum(axis=1)
         is_plane = sum_of_others <= _NEGLIGIBLE * np.abs(self.parameters[:, of_plane[1:]]).min(axis=1)
         is_exception = self.parameters.view(np.uint32) != decoded.view(np.uint32)

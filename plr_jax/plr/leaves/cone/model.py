@@ -37,13 +37,20 @@ class Cone(LeafModel):
     least_bytes = 0.5
     has_deep_trees = True
     has_exact_cone_bounds = True
+    splits_by_proven_error = True
     has_compact_code = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         return num_leaves // 2 + 256  # the constant is for some tens of sources
 
+    def check_domain(self, domain: Box) -> None:
+        if domain.is_periodic:
+            raise ValueError(
+                f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use "
+                "continuous leaves or planes instead."
+            )
+
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
-        _require_euclidean(sampler.domain)
         if sampler.cache is None:
             raise ValueError(
                 "Leaves of kind 'cone' need a distance function in the plane that answers for whole cells, such as "
@@ -64,7 +71,6 @@ class Cone(LeafModel):
         write_cones(body, domain, stored)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCones:
-        _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
 
     def coefficients(self, cells: Cells, stored: StoredCones) -> Coefficients:
@@ -127,11 +133,3 @@ def require_goals(goals: Any) -> Any:
             "the ends of trace(plr, x).paths."
         )
     return goals
-
-
-def _require_euclidean(domain: Box) -> None:
-    if domain.is_periodic:
-        raise ValueError(
-            f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use continuous "
-            "leaves or planes instead."
-        )
