@@ -26,7 +26,7 @@ from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace
-from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_rates, point_costs, pulled
+from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_costs, point_costs, pulled
 
 MOST_AXES = 3
 # Default numbers of nodes by the number of axes.
@@ -211,7 +211,7 @@ def grid_estimate(
         costs = _straight_costs(space, at_nodes, near, change) + _straight_costs(space, at_goals, goal, change)
         costs = costs / 2
         if cost_map is not None:
-            costs = (costs + 2 * motion_rates(motion_cost, cost_map, flat[near] + change / 2, change)) / 3
+            costs = (costs + 2 * motion_costs(motion_cost, cost_map, flat[near] + change / 2, change)) / 3
         is_better = costs < straight.ravel()[near]
         straight.ravel()[near[is_better]] = costs[is_better]
         known_goal.ravel()[near[is_better]] = goal[is_better]
