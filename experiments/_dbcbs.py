@@ -14,7 +14,7 @@ import yaml
 from jaxtyping import Float
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 # In db-CBS a unicycle_first_order_0 is this rectangle; a dynobench model of that name is a disc.
 _SHAPES: dict[str, Robot] = {

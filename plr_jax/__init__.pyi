@@ -74,11 +74,11 @@ from .plr import load_numpy as load_numpy
 from .plr import maximum_depth as maximum_depth
 from .plr import stack as stack
 from .plr import trace as trace
-from .robots.robot import DiscRobot as DiscRobot
-from .robots.robot import PointRobot as PointRobot
-from .robots.robot import PolygonRobot as PolygonRobot
-from .robots.robot import RectangleRobot as RectangleRobot
-from .robots.robot import Robot as Robot
+from .robots import DiscRobot as DiscRobot
+from .robots import PointRobot as PointRobot
+from .robots import PolygonRobot as PolygonRobot
+from .robots import RectangleRobot as RectangleRobot
+from .robots import Robot as Robot
 from .spaces import CellState as CellState
 from .spaces import ClearanceSpace as ClearanceSpace
 from .spaces import ConfigurationSpace as ConfigurationSpace

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import as_finite, as_numbers, is_single, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups, require_workspace
-from plr_jax.robots.robot import Robot, check_body, footprint, smaller_angle, team_dof
+from plr_jax.robots import Robot, check_body, footprint, smaller_angle, team_dof
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
 

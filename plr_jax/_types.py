@@ -1,4 +1,4 @@
-"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions.
+"""Types by which oracles, PLRs and planners work together: arrays, protocols of distance functions, and their data.
 
 Classes that have the members of a protocol, among others, and functions that ask for it::
 
@@ -20,10 +20,11 @@ always a ``CellwiseFn``, but its ``cell_sources`` is None unless all its functio
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 ArrayLike: TypeAlias = Any  # anything that numpy.asarray accepts; public functions check it
 Points: TypeAlias = Float[np.ndarray, "n dim"]
@@ -148,11 +149,75 @@ class NearestFn(CellwiseFn, Protocol):
     def which(self, x: ArrayLike, /) -> Int[np.ndarray, " n"]: ...
 
 
+# Cut-off points are *far* if they are farther than this from points that reach the goal, in widths of the domain.
+FAR_AWAY = 1 / 64
+_GROWN = 2.0**-21  # share of the domain by which rounding may place points outside of their box in a query
+_SHRUNK = 1e-9  # share of the domain by which boxes are shrunk, so that they do not meet what only touches them
+_NUM_REACH_BOXES = 1024  # about so many equal boxes show which share of free space is cut off
+Fractions: TypeAlias = Float[np.ndarray, "boxes dim"]
+BoxTest: TypeAlias = Callable[[Fractions, Fractions], Bool[np.ndarray, " boxes"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Tests whether boxes in a domain contain points that *reach* a goal, or *cut-off* points.
+
+    A point reaches the goal if a free path leads from the point to the goal. A free point without such a path is cut
+    off. Each test returns a bool for each box. ``Workspace.reach`` makes exact tests for polygons, ``reach_of_cells``
+    makes tests for the cells of a grid.
+
+    Boxes are given by their lower corners ``lo`` and upper corners ``hi``, ``(boxes, dim)``, as fractions of the
+    domain: from 0 to 1 along each axis.
+
+    Attributes:
+        reached: Whether each box holds a point that reaches the goal.
+        cut_off: Whether each box holds a cut-off point.
+        far: Whether each box holds a cut-off point farther than 1/64 from all points that reach the goal, where 1 is
+            the width of the domain along each axis. For a grid of cells: whether the box may hold such a point.
+    """
+
+    reached: BoxTest
+    cut_off: BoxTest
+    far: BoxTest
+
+    def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
+        """Return whether each box holds a cut-off point, but no point that reaches the goal.
+
+        The second test takes a slightly larger box, because a query rounds points.
+        """
+        # Rounding may place points just outside of a box inside.
+        holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
+        holds[holds] = ~self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
+        return holds
+
+    def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
+        """Return whether each box holds a point that reaches the goal, and also passes the test ``far``.
+
+        The result is False for boxes with a diagonal of at most 1/64, in fractions of the domain.
+        """
+        holds = self.far(lo + _SHRUNK, hi - _SHRUNK) & (np.linalg.norm(hi - lo, axis=1) > FAR_AWAY)
+        holds[holds] = self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
+        return holds
+
+    def holds_reached(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
+        """Return whether the interior of each box holds a point that reaches the goal."""
+        return self.reached(lo + _SHRUNK, hi - _SHRUNK)
+
+    def cut_off_fraction(self, dim: int) -> float:
+        """Estimate the share of free space that is cut off, from 0 to 1, in a domain of ``dim`` dimensions."""
+        # Count the boxes of a lattice that hold reached points, and the boxes that hold cut-off points.
+        num = round(_NUM_REACH_BOXES ** (1 / dim))
+        lo = np.array(list(product(range(num), repeat=dim))) / num
+        reached = np.count_nonzero(self.reached(lo, lo + 1 / num))
+        cut_off = np.count_nonzero(self.cut_off(lo, lo + 1 / num))
+        return cut_off / max(reached + cut_off, 1)
+
+
 @runtime_checkable
 class ReachFn(_PointFn, Protocol):
     """A distance function that knows which boxes hold free points from which the goal cannot be reached."""
 
-    def reach(self, domain: Any, /) -> Any: ...  # a geometry.reach.Reach, or None if all free points reach the goal
+    def reach(self, domain: Any, /) -> Reach | None: ...  # None if all free points reach the goal
 
 
 @runtime_checkable

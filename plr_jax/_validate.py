@@ -22,7 +22,7 @@ from plr_jax._arrays import is_single
 from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups
-from plr_jax.robots.robot import Robot, shorter_turn
+from plr_jax.robots import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]

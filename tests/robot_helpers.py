@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from plr_jax.robots.robot import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
+from plr_jax.robots import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from robot_helpers import AnyShape
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, makespan, path_cost
 from plr_jax._problem import motion_costs, separation
-from plr_jax.robots.robot import footprint
+from plr_jax.robots import footprint
 
 WALL = [(0.4, 0.0), (0.6, 0.0), (0.6, 0.8), (0.4, 0.8)]
 ROOM = Workspace(((0, 0), (1, 1)), [WALL])

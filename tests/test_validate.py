@@ -13,7 +13,7 @@ from experiments import _dbcbs
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, validate
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import MotionTest
-from plr_jax.robots.robot import team_dof
+from plr_jax.robots import team_dof
 
 UP = np.pi / 2
 ROOM = Workspace(((0, 0), (4, 4)), [box(3, 3.5, 3.5, 4), box(1.8, 1.8, 2.2, 2.2)])

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from plr_jax._problem import Problem, path_cost
 from plr_jax._validate import validate
 from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 PRIORITIZED = "prioritized"
 

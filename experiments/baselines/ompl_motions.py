@@ -21,7 +21,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
-from plr_jax.robots.robot import shorter_turn
+from plr_jax.robots import shorter_turn
 
 # Share of a rectangle's half diagonal: a motion that turns one may be refused if it comes this near to contact.
 _FINEST = 1e-4

@@ -12,8 +12,7 @@ import numpy as np
 import typer
 
 from plr_jax.cli.app import command, printable
-from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file
-from plr_jax.cli.rows import read_points
+from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file, read_points
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A file of a PLR or of pairs.")]
 GoalOption = Annotated[

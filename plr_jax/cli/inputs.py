@@ -1,8 +1,10 @@
-"""Read and check the arguments that commands share: maps, goals and output files."""
+"""Read and check what users give to commands: maps, goals, names of output files, and tables of points."""
 
 import os
+import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +22,9 @@ SCENES = ("maze", "thin_maze", "floor_plan")
 DEFAULT_BYTES = 4_096  # size limit of a file by default
 PICTURES = (".png", ".pdf", ".svg")
 _OPTION_TYPES = {"resolution": float, "threshold": float, "drop_specks": int, "polygons": str, "radius": float}
+_BLOCK_BYTES = 1 << 20  # bytes of a table read at a time, which bounds the memory
+_MOST_OF_ROW = 80  # most characters of a bad row in a warning
+_TABLE_HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field begins with a letter or _
 
 
 def parse_goals(texts: Sequence[str]) -> Float[np.ndarray, "goals 2"]:
@@ -77,7 +82,7 @@ class NamedMap:
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
 
-        If :attr:`goals` is None, return the own goal of a scene with one robot, or None as the goals of another map.
+        If :attr:`goals` is None, the goal is taken from a scene with one robot; other maps have no goals (None).
         """
         from plr_jax import scenes
 
@@ -142,3 +147,65 @@ def check_output(path: Path | None, endings: Sequence[str] = (), inputs: Sequenc
         raise ValueError(f"{path} is an input and must not be overwritten: name another output file.")
     if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
         raise ValueError(f"{path} must be a file that you may write, in a folder that exists.")
+
+
+def read_points(file: Any, name: str, dim: int) -> Iterator[Float[np.ndarray, "n dim"]]:
+    """Yield the points of a table block by block: ``dim`` comma-separated numbers per line, after an optional header.
+
+    ``file`` is a binary file, called ``name`` in messages. Blank lines are skipped. Rows that are not points become
+    NaN; for each block, a warning names the first such row. ``ValueError`` is raised if the table has no rows.
+    """
+    expected = f"{dim} comma-separated numbers"
+    may_be_header = is_empty = True
+    num_lines = 0  # number of lines in earlier blocks
+    for block in _blocks_of_lines(file):
+        # 1. Number the lines of the block from 1, and drop blank ones, and the header if this is the first row.
+        lines = block.split("\n")
+        numbers = [number for number, line in enumerate(lines, 1) if line.strip()]
+        rows = [lines[number - 1].strip() for number in numbers]
+        if rows and may_be_header:
+            may_be_header = False
+            # A header looks like names, and cannot be read as numbers, as nan,inf can.
+            if _TABLE_HEADER.fullmatch(rows[0]) and _parse_rows(rows[:1], dim)[1]:
+                del rows[0], numbers[0]
+        # 2. Read the numbers.
+        if rows:
+            is_empty = False
+            points, bad = _parse_rows(rows, dim)
+            if bad:
+                where = f"{name}, line {num_lines + numbers[bad[0]]}"
+                more = f", as for {len(bad) - 1:,} more rows" if len(bad) > 1 else ""
+                warn(f"{where}: expected {expected}, got {rows[bad[0]][:_MOST_OF_ROW]!r}; the answer is nan{more}.")
+            yield points
+        num_lines += len(lines)
+    if is_empty:
+        raise ValueError(f"{name} has no points: expected {expected} in each line.")
+
+
+def _blocks_of_lines(file: Any) -> Iterator[str]:
+    """Yield the text of a binary file in blocks of whole lines.
+
+    A block is yielded as soon as its lines arrive, so that rows typed into a pipe are answered at once.
+    """
+    rest = b""
+    while data := file.read1(_BLOCK_BYTES):
+        block, newline, rest = (rest + data).rpartition(b"\n")
+        if newline:
+            yield block.decode("utf-8-sig", "replace")
+    yield rest.decode("utf-8-sig", "replace")
+
+
+def _parse_rows(rows: list[str], dim: int) -> tuple[Float[np.ndarray, "n dim"], list[int]]:
+    """Return the numbers of rows, NaN in bad rows, and the indices of bad rows.
+
+    ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
+    """
+    with suppress(ValueError):
+        read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
+        if read.shape == (len(rows), dim):
+            return read, []
+    if len(rows) == 1:
+        return np.full((1, dim), np.nan), [0]
+    half = len(rows) // 2
+    (first, bad), (second, others) = _parse_rows(rows[:half], dim), _parse_rows(rows[half:], dim)
+    return np.concatenate([first, second]), bad + [half + row for row in others]

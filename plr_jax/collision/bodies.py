@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import require_time
 from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
-from plr_jax.robots.robot import Robot, shorter_turn
+from plr_jax.robots import Robot, shorter_turn
 
 _MAX_BISECTIONS = 12  # of a motion, which divide the bulge by 4**12
 _CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clock; bounds the temporary memory

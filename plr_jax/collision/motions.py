@@ -20,7 +20,7 @@ from plr_jax.collision.bodies import bisect, box_point_separation, box_separatio
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 _CHUNK = 1 << 13  # distances of circles at a time, so that temporaries stay in the processor's cache
 _MOST = 1 << 18  # pairs of motions whose circles are compared at a time

@@ -17,7 +17,7 @@ from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 # Batches:
 _CHUNK = 1 << 14  # motions at a time
@@ -101,7 +101,8 @@ class MotionTest:
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
         """Return which motions are free.
 
-        The clearances that the grid stores decide most motions; the others are tested against walls.
+        Clearances at the centers of grid cells decide most motions. The other motions are tested against walls;
+        ``TimeoutError`` if the deadline passes before these tests end.
         """
         pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
         # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts
+from plr_jax._types import Reach
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.goals import Points, nearest_goals
 from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, Numbers, SlopeProgram
-from plr_jax.geometry.reach import Reach
 from plr_jax.plr.tree import PLACING, corner_bits
 from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, SeesBoxes
 

@@ -18,11 +18,10 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from plr_jax._types import Reach
 from plr_jax.eikonal.goals import GoalIndex, Goals, Points, carried_goals, nearest_goals
-from plr_jax.eikonal.march import Costs, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
-from plr_jax.eikonal.voxel_groups import VoxelGroups
+from plr_jax.eikonal.march import Costs, IsOpen, Sides, VoxelGroups, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace

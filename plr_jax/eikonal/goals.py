@@ -26,9 +26,9 @@ def nearest_goals(
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
     """Return distances from each point to its ``count`` nearest goals, nearest first, and the indices of these goals.
 
-    Distances are Euclidean, with each axis scaled by its cost per unit of length; so they are lower bounds of the
-    motion cost. If there are fewer than ``count`` goals, the remaining distances are ``inf``, and the remaining
-    indices are the number of goals.
+    Distances are Euclidean, with each axis scaled by its cost per unit of length, and go the shorter way around
+    periodic axes of ``domain``. So they are lower bounds of the motion cost. If there are fewer than ``count`` goals,
+    the remaining distances are ``inf``, and the remaining indices are the number of goals.
     """
     scale = motion_cost.scale
     if len(goals) == 1:

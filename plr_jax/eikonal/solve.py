@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Fractions, Reach
 from plr_jax.eikonal.bounds import CostToGoField
 from plr_jax.eikonal.certified import plr_of_bytes, plr_on_mesh, straight_bound
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
@@ -23,7 +23,6 @@ from plr_jax.eikonal.goals import Goals, Points, WhichGoal
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
-from plr_jax.geometry.reach import Fractions, Reach
 from plr_jax.plr._construct import BuildOptions, construct, warn_if_cut_off
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.frame import max_axis_depth

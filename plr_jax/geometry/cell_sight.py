@@ -256,7 +256,7 @@ class CellSources:
 
     @property
     def slack(self) -> float:
-        """Largest error of distance bounds, in workspace units, since free space is known only to a tolerance."""
+        """Largest error of distance bounds, in workspace units: it comes from the triangulation's tolerance."""
         return 4 * self.sight.triangulation.tolerance
 
     @property

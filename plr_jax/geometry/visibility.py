@@ -83,7 +83,10 @@ class Viewpoints:
 
 
 def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
-    """Return distinct points of free space as viewpoints, rounded to the grid of the triangulation."""
+    """Round points of free space to the triangulation's grid, and return them as viewpoints.
+
+    The rounded points must be distinct.
+    """
     boundary, places = triangulation.boundary, triangulation.place(x)
     # A point at a vertex owns the sectors of all edges that start there. A point inside of a wall owns one sector.
     starts = boundary.vertices[boundary.edges[:, 0]]

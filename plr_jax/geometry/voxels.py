@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_cells, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import FAR_AWAY, ArrayLike, BoxTest, Fractions, Reach
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import FAR, BoxTest, Fractions, Reach
 
 _AXES = range(1, 5)
 _LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
@@ -248,7 +247,7 @@ def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> 
     if cut_off.any() and reached.any():
         side = bounds.width / shape / domain.width
         away: Any = ndimage.distance_transform_edt(~reached, sampling=side)  # between centers of cells
-        far = cut_off & (away > FAR - np.linalg.norm(side))
+        far = cut_off & (away > FAR_AWAY - np.linalg.norm(side))
 
     # 3. Make tests of boxes: whether a box meets any of some cells, by a summed-area table.
     def test_of(cells: Cells) -> BoxTest:

@@ -14,7 +14,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, require_integer, set_fields, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import FAR_AWAY, ArrayLike, BoxTest, Reach
 from plr_jax.geometry.boundary import (
     Boundary,
     Region,
@@ -35,7 +35,6 @@ from plr_jax.geometry.boundary import (
 )
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
-from plr_jax.geometry.reach import FAR, BoxTest, Reach
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
 from plr_jax.geometry.vectors import cross_product
 
@@ -270,8 +269,8 @@ class Workspace:
         reached, cut_off = shapely.multipolygons(parts[is_reached]), shapely.multipolygons(parts[~is_reached])
         # 3. Subtract the points near reached ones from cut-off parts. Only reached points near these parts matter.
         x0, y0, x1, y1 = shapely.bounds(parts[~is_reached]).T
-        around = shapely.union_all(shapely.box(x0 - FAR, y0 - FAR, x1 + FAR, y1 + FAR))
-        near = shapely.buffer(shapely.intersection(reached, around), FAR)
+        around = shapely.union_all(shapely.box(x0 - FAR_AWAY, y0 - FAR_AWAY, x1 + FAR_AWAY, y1 + FAR_AWAY))
+        near = shapely.buffer(shapely.intersection(reached, around), FAR_AWAY)
         return Reach(*map(_meeting, (reached, cut_off, shapely.difference(cut_off, near))))
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, " n"]:

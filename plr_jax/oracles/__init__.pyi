@@ -1,11 +1,11 @@
-from ._car import Dubins as Dubins
-from ._car import ReedsShepp as ReedsShepp
-from ._euclidean import Euclidean as Euclidean
 from ._grids import GridField as GridField
 from ._grids import GridGraph as GridGraph
 from ._grids import VoxelGraph as VoxelGraph
-from ._nearest_goal import NearestGoal as NearestGoal
 from ._roadmap import Roadmap as Roadmap
-from ._robot_distances import exact_lower_bound as exact_lower_bound
-from ._robot_distances import robot_distance_fns as robot_distance_fns
+from ._several_goals import NearestGoal as NearestGoal
+from ._several_goals import exact_lower_bound as exact_lower_bound
+from ._several_goals import robot_distance_fns as robot_distance_fns
 from ._visibility_graph import VisibilityGraph as VisibilityGraph
+from ._without_obstacles import Dubins as Dubins
+from ._without_obstacles import Euclidean as Euclidean
+from ._without_obstacles import ReedsShepp as ReedsShepp

@@ -13,10 +13,9 @@ from jaxtyping import Bool, Float, Int, UInt32
 from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import as_cells, as_finite_point, as_numbers, as_points, filled_with_inf, set_fields, shortened
-from plr_jax._types import ArrayLike, Distances, Points
+from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
-from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets, reach_of_cells
 
 Grid: TypeAlias = Float[np.ndarray, "..."]

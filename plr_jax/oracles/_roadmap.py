@@ -24,10 +24,9 @@ from plr_jax._arrays import (
     require_integer,
     set_fields,
 )
-from plr_jax._types import ArrayLike, Distances, Points
+from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
-from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.workspace import Workspace, require_workspace
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_numbers, as_point, as_points, set_fields
-from plr_jax._types import ArrayLike, Distances, Sources
+from plr_jax._types import ArrayLike, Distances, Reach, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
@@ -28,7 +28,6 @@ from plr_jax.geometry.corners import (
     views_by_triangle,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
-from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.single_points import FEW, Place, PointSight
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace

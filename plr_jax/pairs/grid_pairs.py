@@ -281,13 +281,14 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
     """Build a function of the distance between any two cells of a grid.
 
         pairs = plr_jax.construct_grid_pairs(free)
-        pairs(x, y)  # path lengths (n,) in steps between the cells of points x and y, both (n, 2)
+        pairs(x, y)  # path lengths (n,) between the cells of points x and y, both (n, 2); a diagonal step has sqrt(2)
 
     ``graph`` is a :class:`GridGraph`, with or without a goal, or an array of booleans ``(rows, columns)``, True in
     free cells, for a 4-connected grid. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory, or 15 s
     and 1.4 GB if it is 8-connected. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises
     ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected)
-    paths of over a million steps, or needs a table of more than 2**30 bytes or minutes of work.
+    paths of over a million steps, or if its obstacles have too many corners for a table of 2**30 bytes or for a
+    construction within minutes.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 

@@ -95,10 +95,10 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """Walls and corners of a PairPLR's file, moved a little so that rounding in queries does no harm.
+class MovedObstacles:
+    """Walls and corners of a PairPLR's file, moved slightly, so that rounding opens no wall or hides no corner.
 
-    Coordinates are relative to the middle of the domain.
+    If ``is_certain``, no wall opens; otherwise no corner is hidden. Coordinates are relative to the domain's middle.
     """
 
     walls: Float[np.ndarray, "walls 4"]
@@ -107,8 +107,8 @@ class Scene:
     is_certain: bool  # whether every path found is certainly free
 
     @staticmethod
-    def of(stored: PairsFileData, is_certain: bool, for_lower_bounds: bool = False) -> "Scene":
-        """Build the scene of a PairPLR's file: its walls and corners, moved a little because queries round.
+    def of(stored: PairsFileData, is_certain: bool, for_lower_bounds: bool = False) -> "MovedObstacles":
+        """Build the obstacles of a PairPLR's file: its walls and corners, moved a little because queries round.
 
         If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
         into their obstacles, so that rounding hides no corner. With ``for_lower_bounds``, walls of thin obstacles are
@@ -137,7 +137,7 @@ class Scene:
             walls = walls[~outline.is_thin]
         # 3. Make both relative to the middle.
         walls -= np.tile(middle, 2)
-        return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
+        return MovedObstacles(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
 
     @cached_property
     def wall_ends(self) -> Float[np.ndarray, "4 walls"]:
@@ -180,11 +180,14 @@ class NumpyPairs:
         self._lists[ragged_indices(lengths)] = stored.listed
         self._distances = distances_table(stored, corners + 1)
         # 3. Walls and corners, moved in three ways, and what both bounds leave for errors.
-        self._scene, self._upper_scene = (Scene.of(stored, is_certain) for is_certain in (False, True))
-        self._lower_scene = Scene.of(stored, False, for_lower_bounds=True)
+        self._obstacles, self._upper_obstacles = (
+            MovedObstacles.of(stored, is_certain) for is_certain in (False, True)
+        )
+        self._lower_obstacles = MovedObstacles.of(stored, False, for_lower_bounds=True)
         point_error = float(point_rounding(domain.width / 2, np.abs(middle)).max())
         self._lower_error, self._upper_error = (
-            np.float32(stored.rounding + 2 * scene.moved + point_error) for scene in (self._scene, self._upper_scene)
+            np.float32(stored.rounding + 2 * obstacles.moved + point_error)
+            for obstacles in (self._obstacles, self._upper_obstacles)
         )
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
@@ -195,7 +198,7 @@ class NumpyPairs:
         do not broadcast.
         """
         p, q, shape = self._from_middle(x, y)
-        return _in_blocks(partial(self._lengths, self._scene), self._ends, np.inf, p, q).reshape(shape)[()]
+        return _in_blocks(partial(self._lengths, self._obstacles), self._ends, np.inf, p, q).reshape(shape)[()]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds, ``(...)`` in float32, of distances; see :meth:`PairPLR.bounds`."""
@@ -224,7 +227,7 @@ class NumpyPairs:
         if outside == "clamp":
             (p, shift_p), (q, shift_q) = map(self._clamped, (p, q))
             return self.distances(p, q, "inf") + (shift_p + shift_q)
-        return _in_blocks(partial(self._lengths, self._scene), self._rounded_ends, float(outside), p, q)
+        return _in_blocks(partial(self._lengths, self._obstacles), self._rounded_ends, float(outside), p, q)
 
     def bounds_between(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         return _in_blocks(self._bounds, self._rounded_ends, np.inf, p, q)
@@ -246,10 +249,10 @@ class NumpyPairs:
 
             def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
                 # The goal counts as the only last turn, as its distances to corners are known.
-                listed, turns, legs = self._legs(self._scene, single[hidden])
+                listed, turns, legs = self._legs(self._obstacles, single[hidden])
                 return turns, goal[hidden, None], (legs + to_corners[hidden[:, None], listed])[:, :, None]
 
-            length, via, _ = _shortest(self._scene, single, goal, paths)
+            length, via, _ = _shortest(self._obstacles, single, goal, paths)
             # Add the change of the leg due to the part of the point that 32 bits lose.
             return length + (_length(p - via) - _length(single - via))
 
@@ -263,9 +266,9 @@ class NumpyPairs:
         """
         # 1. Find the legs from goals to the corners that their leaves list: `inf` if walls hide a corner.
         goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
-        listed, turns, legs = self._legs(self._scene, goals)
+        listed, turns, legs = self._legs(self._obstacles, goals)
         goal, place = np.nonzero(np.isfinite(legs))
-        legs[goal, place] += np.where(self._scene.hides(goals[goal], turns[goal, place]), np.float32(np.inf), 0)
+        legs[goal, place] += np.where(self._obstacles.hides(goals[goal], turns[goal, place]), np.float32(np.inf), 0)
         # 2. Minimize over the first turns, column by column of the lists. Columns beyond the corners stay `inf`.
         lengths = np.full((len(goals), size), np.inf, np.float32)
         to_known = lengths[:, : len(self._distances)]  # a view: `lengths` is modified through it
@@ -282,16 +285,16 @@ class NumpyPairs:
 
     def _bounds(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         p, q = p.astype(np.float32), q.astype(np.float32)
-        lower = np.maximum(SHRUNK * self._lengths(self._lower_scene, p, q) - self._lower_error, np.float32(0))
-        is_clear = self._upper_scene.encloses(p) & self._upper_scene.encloses(q)
-        length = np.where(is_clear, self._lengths(self._upper_scene, p, q), np.float32(np.inf))
+        lower = np.maximum(SHRUNK * self._lengths(self._lower_obstacles, p, q) - self._lower_error, np.float32(0))
+        is_clear = self._upper_obstacles.encloses(p) & self._upper_obstacles.encloses(q)
+        length = np.where(is_clear, self._lengths(self._upper_obstacles, p, q), np.float32(np.inf))
         return np.stack([lower, STRETCHED * length + self._upper_error])
 
-    def _lengths(self, scene: Scene, p: _Points, q: _Points) -> _Lengths:
+    def _lengths(self, obstacles: MovedObstacles, p: _Points, q: _Points) -> _Lengths:
         """Return the length of the shortest path from each ``p[i]`` to ``q[i]``.
 
-        The path is straight if the walls of ``scene`` allow it, else it turns at corners of ``scene``. Points are
-        relative to the middle of the domain.
+        The path is straight if the walls of ``obstacles`` allow it, else it turns at corners of ``obstacles``.
+        Points are relative to the middle of the domain.
         """
         # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
@@ -300,12 +303,12 @@ class NumpyPairs:
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
 
         def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
-            of_p, turns_p, legs_p = self._legs(scene, single_p[hidden])
-            of_q, turns_q, legs_q = self._legs(scene, single_q[hidden])
+            of_p, turns_p, legs_p = self._legs(obstacles, single_p[hidden])
+            of_q, turns_q, legs_q = self._legs(obstacles, single_q[hidden])
             onward = legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]]
             return turns_p, turns_q, legs_p[:, :, None] + onward
 
-        length, via_p, via_q = _shortest(scene, single_p, single_q, paths)
+        length, via_p, via_q = _shortest(obstacles, single_p, single_q, paths)
         if p.dtype == np.float32:
             return length
 
@@ -317,13 +320,13 @@ class NumpyPairs:
         return length + (legs(p, q) - legs(single_p, single_q))
 
     def _legs(
-        self, scene: Scene, p: _Points
+        self, obstacles: MovedObstacles, p: _Points
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
         """Return the corners listed by the leaf that holds each point: indices, positions, distances to the point."""
         above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *along_axis) for along_axis in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
-        turns = scene.corners[listed].astype(np.float32)
+        turns = obstacles.corners[listed].astype(np.float32)
         return listed, turns, _length(p[:, None] - turns)
 
 
@@ -349,7 +352,7 @@ def _in_blocks(
 
 
 def _shortest(
-    scene: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
+    obstacles: MovedObstacles, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
 ) -> tuple[_Lengths, _Points, _Points]:
     """Return the length, the first turn and the last turn of the shortest path from each ``p[i]`` to ``q[i]``.
 
@@ -359,7 +362,7 @@ def _shortest(
     """
     # 1. Straight paths.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
-    hidden = np.flatnonzero(scene.hides(p, q))
+    hidden = np.flatnonzero(obstacles.hides(p, q))
     # 2. For other pairs, try the shortest path first, and drop the turns that its ends do not see, until a path is
     #    free or none is left.
     turns_p, turns_q, lengths_via = paths(hidden)
@@ -369,7 +372,7 @@ def _shortest(
         i, j = np.divmod(lengths_via[pending].reshape(len(pending), -1).argmin(axis=1), lengths_via.shape[2])
         length, rows = lengths_via[pending, i, j], hidden[pending]
         first, last = turns_p[pending, i], turns_q[pending, j]
-        hidden_p, hidden_q = scene.hides(p[rows], first), scene.hides(q[rows], last)
+        hidden_p, hidden_q = obstacles.hides(p[rows], first), obstacles.hides(q[rows], last)
         lengths_via[pending[hidden_p], i[hidden_p]] = np.inf
         lengths_via[pending[hidden_q], :, j[hidden_q]] = np.inf
         is_free = (length < np.inf) & ~(hidden_p | hidden_q)

@@ -13,7 +13,7 @@ from plr_jax._arrays import padded, ragged_indices, size_in_eighths
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.occlusion import NearWalls, occluders_of
-from plr_jax.pairs.portable import MARGIN, RECEDING, Scene
+from plr_jax.pairs.portable import MARGIN, RECEDING, MovedObstacles
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.leaves.base import LeafModel
@@ -84,8 +84,8 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     width = float(stored.domain.width.max())
     cells, num_corners = stored.cells, len(stored.corner)
     size, rows = table_size(num_corners), size_in_eighths(len(cells))  # of tables of corners and of leaves
-    scene, upper_scene = (Scene.of(stored, is_certain) for is_certain in (False, True))
-    lower_walls = Scene.of(stored, False, for_lower_bounds=True).walls
+    obstacles, upper_obstacles = (MovedObstacles.of(stored, is_certain) for is_certain in (False, True))
+    lower_walls = MovedObstacles.of(stored, False, for_lower_bounds=True).walls
     # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), num_corners, np.uint16)
@@ -98,7 +98,9 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         occluders = np.zeros((0, 7))
     lo, hi = cells.grown_boxes(domain)
     margin = MARGIN * width
-    near = NearWalls.of((lo, hi), stored.leaf, stored.listed, scene.corners[:-1], scene.walls, margin, listed.shape)
+    near = NearWalls.of(
+        (lo, hi), stored.leaf, stored.listed, obstacles.corners[:-1], obstacles.walls, margin, listed.shape
+    )
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing
@@ -128,11 +130,11 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     middles = ((lo + hi) / 2).astype(np.float32)
     halves = np.maximum(hi - middles, middles - lo) / _SHRUNK
     middles, halves = (padded(column, rows).astype(np.float32) for column in (middles, halves))
-    corners = padded(scene.corners, size, np.inf).astype(np.float32)
+    corners = padded(obstacles.corners, size, np.inf).astype(np.float32)
     x, y = (along[listed] for along in corners.T)
     return PairTables(
         partition=replace(build_tables(domain, cells, np.zeros((len(cells), 1)), LeafModel, num_bytes), leaf=None),
-        walls=in_boxes(scene.walls),
+        walls=in_boxes(obstacles.walls),
         occluders=in_groups(occluders, _UNROLLED),
         near=near,
         x=in_32_bits(x),
@@ -144,10 +146,10 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         middles=in_32_bits(middles),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
-        outset_walls=in_boxes(upper_scene.walls),
-        outset_corners=in_32_bits(padded(upper_scene.corners[:-1], size, np.inf)),
-        sure_walls=None if np.array_equal(lower_walls, scene.walls) else in_boxes(lower_walls),
-        rounding=in_32_bits(stored.rounding + 2 * np.array([scene.moved, upper_scene.moved])),
+        outset_walls=in_boxes(upper_obstacles.walls),
+        outset_corners=in_32_bits(padded(upper_obstacles.corners[:-1], size, np.inf)),
+        sure_walls=None if np.array_equal(lower_walls, obstacles.walls) else in_boxes(lower_walls),
+        rounding=in_32_bits(stored.rounding + 2 * np.array([obstacles.moved, upper_obstacles.moved])),
         unresolved=unresolved_types(stored.domain),
     )
 

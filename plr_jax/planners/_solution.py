@@ -16,7 +16,7 @@ from plr_jax._arrays import as_finite, as_number, as_numbers, require_integer, s
 from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem, motion_costs, path_cost, require_problem, row_times
 from plr_jax._types import ArrayLike
-from plr_jax.robots.robot import between, rows_around
+from plr_jax.robots import between, rows_around
 
 _KIND = "solution"
 _VERSION = 1

@@ -32,7 +32,7 @@ from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, 
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.planners.through_time import JointPath, subdivided
-from plr_jax.robots.robot import between
+from plr_jax.robots import between
 
 # Steps (cell sizes of lattices), as shares of the bounds' longer side:
 _COARSEST_FIRST = 1 / 16  # coarsest first step

@@ -36,7 +36,7 @@ from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot
+from plr_jax.robots import Robot
 
 # Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
 _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
@@ -412,7 +412,7 @@ class Kind:
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, " nodes"]:
         """Return the least cost from the start of robot ``members[row]`` to each node, along shared edges.
 
-        They do not enter the goal: its cost is ``inf`` unless it equals the start.
+        Shared edges do not enter the goal, so the goal's cost is ``inf`` unless the goal is the start.
         """
         edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)

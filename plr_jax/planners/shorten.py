@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import ragged_indices, require_time, take_ragged
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, circles_along, within_reach
-from plr_jax.robots.robot import between
+from plr_jax.robots import between
 
 Path = Float[np.ndarray, "steps robots dof"]
 Rows = Int[np.ndarray, "m"]

@@ -17,7 +17,7 @@ from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
-from plr_jax.robots.robot import between
+from plr_jax.robots import between
 
 ROWS_PER_STEP = 2.8  # a step of the lattice takes 3 rows and a diagonal one 4, close to unit speed
 _WAIT = 3  # rows of a wait; each node is reached at most once in so many rows

@@ -35,7 +35,7 @@ from plr_jax.plot._paths import (
     timeline,
 )
 from plr_jax.plot._plane import plot_workspace
-from plr_jax.robots.robot import placed
+from plr_jax.robots import placed
 
 _CONTROLS = 28  # pixels: height of the controls below the picture, as in page.css
 _PADDING = 6  # pixels around the page's content, as in page.css

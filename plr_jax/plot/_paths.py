@@ -19,7 +19,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plot._axes import FONT_SIZE, INK
 from plr_jax.plot._plane import plot_workspace
-from plr_jax.robots.robot import Robot, placed, rows_around, shorter_turn
+from plr_jax.robots import Robot, placed, rows_around, shorter_turn
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,9 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
-from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points
+from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points, Reach
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach
-from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode, filled_coefficients
-from plr_jax.plr._proof import certificate_of
+from plr_jax.plr._file import DecodedFile, certificate_of, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.folding import Folding, folding_of

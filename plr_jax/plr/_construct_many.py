@@ -13,9 +13,8 @@ from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
-from plr_jax.plr._file import DecodedFile, encode
+from plr_jax.plr._file import DecodedFile, certificates_of, encode
 from plr_jax.plr._plr import PLR
-from plr_jax.plr._proof import certificates_of
 from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_model

@@ -87,7 +87,7 @@ class PLR(FileBacked):
     def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
         """Return a copy whose :meth:`which` calls ``nearest_goal``, such as :meth:`NearestGoal.which`.
 
-        ``nearest_goal`` maps points ``(n, dim)`` to indices of goals ``(n,)``; ``ValueError`` if it is no function.
+        ``nearest_goal`` maps points ``(n, dim)`` to indices of goals ``(n,)``; ``ValueError`` if it is not callable.
         PLR files do not store this function.
         """
         require_function("nearest_goal", nearest_goal)

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
-from plr_jax._types import DistanceFn, Distances, Points, ReachFn
+from plr_jax._types import BoxTest, DistanceFn, Distances, Points, Reach, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.reach import BoxTest, Reach
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, Rows
@@ -307,10 +306,10 @@ class Sampler:
         return fit
 
     def first_cells(self, most: int) -> CellFit:
-        """Sample the domain as one cell, then halve *urgent* cells, whose samples do not show their error.
+        """Sample the domain as one cell, then halve *urgent* cells (see :class:`CellFit`), the largest first.
 
-        Of the urgent cells (see :class:`CellFit`), the largest are halved first, until no cell is urgent or there are
-        ``most`` cells. ``ValueError`` if no sample of the resulting cells reaches the goal.
+        Stop if no cell is urgent or there are ``most`` cells. ``ValueError`` if no sample of the resulting cells
+        reaches the goal.
         """
         fit = self.root()
         while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):

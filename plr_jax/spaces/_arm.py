@@ -14,7 +14,7 @@ from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, set_
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
-from plr_jax.robots.robot import shorter_turn
+from plr_jax.robots import shorter_turn
 from plr_jax.spaces._plane import crosses_walls, near_walls, segment_distances, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, batches
 

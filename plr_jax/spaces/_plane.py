@@ -18,7 +18,7 @@ from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace, joined_parts, require_workspace
-from plr_jax.robots.robot import PointRobot, Robot
+from plr_jax.robots import PointRobot, Robot
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Positions: TypeAlias = Float[np.ndarray, "n 2"]

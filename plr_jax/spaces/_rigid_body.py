@@ -14,7 +14,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import Robot, check_body, side_offsets
+from plr_jax.robots import Robot, check_body, side_offsets
 from plr_jax.spaces._plane import BodySpace, Booleans, PlaneSpace, near_walls, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
 

@@ -34,9 +34,9 @@ MAX_LATTICE = 2**8
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return how far points that are moved into a cell stay from the cell's sides, in cell sides.
+    """Return the least distance, in cell widths, that :func:`inside_free_cells` keeps to the sides of a cell.
 
-    The margin is 32 rounding errors, of type ``dtype``, of the largest coordinate in a grid of the given ``shape``.
+    The margin is 32 times the machine epsilon of ``dtype``, times the larger number in ``shape``.
     """
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 

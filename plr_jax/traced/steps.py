@@ -60,8 +60,8 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
     """Return rows and columns of the up to four cells around each point, and whether the point is in the grid.
 
     Rows and columns are arrays ``(4, ...)``, of the cells lower left, lower right, upper left and upper right of the
-    point. Some of the four cells are equal, unless the point is a corner of cells. A point outside the grid is first
-    moved to the nearest point of the grid.
+    point. Some of the four cells are equal, unless the point is an inner corner of the grid. A point outside the grid
+    is first moved to the nearest point of the grid.
     """
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)

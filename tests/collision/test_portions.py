@@ -12,7 +12,7 @@ from plr_jax.collision.motions import JointMotionTest, motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry import workspace as workspaces
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import PolygonRobot
+from plr_jax.robots import PolygonRobot
 
 BLOCKS = [[(x, y), (x + 0.3, y), (x + 0.2, y + 0.4)] for x in (0.5, 1.5, 2.5) for y in (0.5, 1.5, 2.5)]
 ROOM = Workspace(((0, 0), (4, 4)), BLOCKS)

@@ -8,7 +8,7 @@ from robot_helpers import BAR, DISC, POINT, ROBOTS, along, random_motions, shape
 
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots.robot import DiscRobot, PolygonRobot, RectangleRobot
+from plr_jax.robots import DiscRobot, PolygonRobot, RectangleRobot
 
 UP = np.pi / 2
 # A pillar in the middle of a 4 x 4 room, and a slanted thin wall.

@@ -8,7 +8,7 @@ from planner_helpers import ROOM, TRIO
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners.through_time import ROWS_PER_STEP, Timetable, plan_through_time, subdivided
-from plr_jax.robots.robot import between
+from plr_jax.robots import between
 
 LENGTH = 0.15
 

@@ -8,7 +8,7 @@ from matplotlib.patches import Polygon
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, plot, scenes
 from plr_jax.plot._paths import ROBOT_COLORS, ink_on
-from plr_jax.robots.robot import footprint
+from plr_jax.robots import footprint
 
 # Robots of every kind and of different sizes; the headings of the round ones mean nothing.
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]

@@ -76,8 +76,8 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     """Convert an ``offset`` from the domain's lower end along an axis to an integer, in units of ``2**-23`` widths.
 
-    ``frame`` has the constants of this axis, in the order of :class:`Frame`. Generated C and JavaScript use units of
-    ``2**-32`` widths instead.
+    If ``do`` generates C or JavaScript, the unit is ``2**-32`` widths: the integer's low 9 bits are 0. ``frame`` has
+    the constants of this axis, in the order of :class:`Frame`.
     """
     # The mantissa bits of max(min(share, top) + start, 1), a float from 1 to below 2; share is at least 0, so the
     # maximum is needed only if start < 1.
@@ -176,8 +176,8 @@ class Program:
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
         """Return the position of points along each axis of the domain as integers, in units of ``2**-23`` widths.
 
-        ``offsets`` is the result of the method :meth:`offsets`. Generated C and JavaScript use units of ``2**-32``
-        widths instead.
+        ``offsets`` is the result of the method :meth:`offsets`. If ``do`` generates C or JavaScript, the unit is
+        ``2**-32`` widths: the low 9 bits of the integers are 0.
         """
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax._arrays import take_ragged
-from plr_jax._types import CellSources
+from plr_jax._types import CellSources, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
-from plr_jax.geometry.reach import Reach
 from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits, grow

@@ -1,10 +1,23 @@
-"""Distances and paths of cars with and without reverse, compared with values by hand and with OMPL."""
+"""Straight-line distances; distances and paths of cars, compared with values by hand and with OMPL."""
 
 import numpy as np
 import pytest
 
 from plr_jax import Dubins, Euclidean, ReedsShepp
 from plr_jax._types import SymmetricFn
+
+
+def test_distance_in_several_dimensions():
+    np.testing.assert_allclose(Euclidean((0, 0))(np.array([[3, 4], [0, 0]])), [5, 0])
+    np.testing.assert_allclose(Euclidean((1, 1, 1, 1))(np.array([[2.0, 2, 2, 2]])), [2])
+    np.testing.assert_allclose(Euclidean([2.0])(np.array([[-1.5]])), [3.5])
+    assert Euclidean((0, 0))(np.zeros((3, 2), dtype=np.float32)).dtype == np.float64
+
+
+def test_points_that_are_not_finite_are_unreachable():
+    x = np.array([[np.nan, 0.0], [0.0, np.inf], [np.inf, np.nan], [-np.inf, np.inf]])
+    np.testing.assert_array_equal(Euclidean((0, 0))(x), [np.inf] * 4)
+
 
 PI, RADIUS = np.pi, 1.7
 GOAL = np.array([0.3, -0.8, 2.2])

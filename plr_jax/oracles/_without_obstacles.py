@@ -1,8 +1,9 @@
-"""Shortest paths of cars without obstacles: Dubins (forward only) and Reeds-Shepp (forward and backward).
+"""Distances to a goal without obstacles: along straight lines, or along shortest paths of cars.
 
-A shortest path is a sequence of sharpest turns and straight lines, called a *word*, such as LSR for left, straight,
-right. Lengths are in turning radii, so the length of a turn is its angle. A word is computed from the heading at its
-end, and from the vector from the center of the first turn to the center of the last turn.
+Cars are Dubins cars (forward only) and Reeds-Shepp cars (forward and backward). A shortest path of a car is a
+sequence of sharpest turns and straight lines, called a *word*, such as LSR for left, straight, right. Lengths are in
+turning radii, so the length of a turn is its angle. A word is computed from the heading at its end, and from the
+vector from the center of the first turn to the center of the last turn.
 
 At heading h, let e(h) be the direction of travel and n(h) = e(h + pi/2) the direction to the left. The car is at
 O - n(h) on a left circle with center O, and at O + n(h) on a right circle. So the vector between the centers is the
@@ -51,6 +52,36 @@ _MIRRORED = str.maketrans("LR", "RL")
 _AT_ONCE = 4096  # poses processed at a time, so that their arrays stay in the cache
 _ROUNDING = 4 * np.finfo(np.float64).eps  # relative rounding error of a few operations
 _SLACK = 1e-10  # turning radii by which a Dubins path may miss the goal: well above rounding errors
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Euclidean:
+    """Straight-line distance to a goal, in any dimension, without obstacles.
+
+    The goal is a vector of finite numbers, ``(dim,)``, else ``ValueError``.
+    """
+
+    goal: Float[np.ndarray, "dim"]
+    is_lower_bound: ClassVar[bool] = True
+    """True: no path of the robot's reference point is shorter."""
+
+    def __init__(self, goal: ArrayLike):
+        object.__setattr__(self, "goal", as_finite_point("The goal", goal))
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates of a point."""
+        return self.goal.size
+
+    @property
+    def symmetries(self) -> tuple[Symmetry, ...]:
+        """Reflections about the goal: for each axis, a reflection that mirrors this axis."""
+        return tuple(Symmetry.about(self.goal, np.diag(signs)) for signs in 1 - 2 * np.eye(self.dim))
+
+    def __call__(self, x: ArrayLike) -> Distances:
+        """Return the distance of points ``(n, dim)`` to the goal, ``inf`` if a coordinate is not finite."""
+        distance = np.linalg.norm(as_points("x", x, self.goal.size) - self.goal, axis=1)
+        return np.where(np.isnan(distance), np.inf, distance)
 
 
 class Word(NamedTuple):

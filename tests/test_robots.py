@@ -16,7 +16,7 @@ from plr_jax.collision.walls import MotionTest
 from plr_jax.planners import Stats, Status, bl_plan
 from plr_jax.planners._solution import make_solution
 from plr_jax.plot._paths import timeline
-from plr_jax.robots.robot import PolygonRobot, shorter_turn, smaller_angle
+from plr_jax.robots import PolygonRobot, shorter_turn, smaller_angle
 
 
 @pytest.mark.parametrize("size", [0, -1, np.nan, np.inf, "wide", None])

@@ -1,1 +1,0 @@
-"""Robots: convex bodies, their configurations, and straight motions between configurations (`robot`)."""
