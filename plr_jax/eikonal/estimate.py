@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._types import Reach
 from plr_jax.eikonal.goals import GoalIndex, Goals, Points, carried_goals, nearest_goals
-from plr_jax.eikonal.march import Costs, IsOpen, Sides, VoxelGroups, balls, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.march import Costs, IsOpen, NearGoals, Sides, VoxelGroups, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
@@ -235,7 +235,8 @@ def grid_estimate(
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         slowness = motion_cost.blocks[0][1] * factor
         at_goal = motion_cost.blocks[0][1] * at_nearest
-        start, level = balls(is_open, slowness, at_goal, straight, known_goal, sees_nearest, lengths, radius, side)
+        near_goals = NearGoals(straight, known_goal, lengths, sees_nearest, at_goal, radius)
+        start, level = near_goals.start_of_march(is_open, slowness, side)
         cost = marched(is_open, slowness, start, level, side, domain.periodic)
         if cost_map is None:
             cost = np.minimum(cost, straight)
