@@ -95,10 +95,8 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
         num_free += len(accepted[-1])
         num_drawn += batch
         if num_drawn >= _DRAWS_BEFORE_GIVING_UP and num_free < _MIN_FREE_FRACTION * num_drawn:
-            raise ValueError(
-                f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
-                "shrink the domain around free space, or check is_free."
-            )
+            advice = "shrink the domain around free space, or check is_free"
+            raise ValueError(f"Only {num_free} of {num_drawn} draws from the domain {domain} are free; {advice}.")
     return np.concatenate(accepted)[:num_samples], float(np.prod(metric.widths)) * num_free / num_drawn
 
 

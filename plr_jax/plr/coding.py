@@ -98,10 +98,8 @@ class BitWriter:
         if not len(values):
             return self
         if values.max() >= _MAX_CODED:
-            raise ValueError(
-                f"Stored integers must be below 2**40, got {values.max():,}: the distances vary too much. "
-                "Scale the distances down or shrink the domain."
-            )
+            advice = "the distances vary too much. Scale the distances down or shrink the domain."
+            raise ValueError(f"Stored integers must be below 2**40, got {values.max():,}: {advice}")
         # Choose the order k that takes the fewest bits: 2 * e + 1 + k for each value.
         orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # higher orders only add bits
         order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))

@@ -77,10 +77,8 @@ class ClearanceSpace:
             raise ValueError(f"lipschitz must be at least 0 along each axis, got {lipschitz.tolist()}.")
         motion_cost = MotionCost(((range(domain.dim), 1.0),)) if motion_cost is None else motion_cost
         if not isinstance(motion_cost, MotionCost) or motion_cost.dof != domain.dim:
-            raise ValueError(
-                f"motion_cost must be a MotionCost of {domain.dim} axes, as the domain has, got "
-                f"{shortened(motion_cost)}."
-            )
+            expected = f"a MotionCost of {domain.dim} axes, as the domain has"
+            raise ValueError(f"motion_cost must be {expected}, got {shortened(motion_cost)}.")
         set_fields(self, domain=domain, clearance=clearance, lipschitz=lipschitz, motion_cost=motion_cost)
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 

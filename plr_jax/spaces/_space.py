@@ -231,10 +231,8 @@ class CheckedFreeTest:
 def require_space(space: object) -> None:
     """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose motion cost fits its domain."""
     if isinstance(space, type) or not isinstance(space, FreeTest):
-        raise ValueError(
-            "space must be a configuration space with a domain, a motion_cost and is_free, such as "
-            f"PlaneSpace(workspace), got {shortened(space)}."
-        )
+        expected = "a configuration space with a domain, a motion_cost and is_free, such as PlaneSpace(workspace)"
+        raise ValueError(f"space must be {expected}, got {shortened(space)}.")
     domain, cost = space.domain, space.motion_cost
     if not isinstance(domain, Box):
         raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")
