@@ -21,7 +21,7 @@ from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, pa
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.graph import first_visible_in_parts
 from plr_jax.plr.sampling import lattice
-from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_rates, pulled
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_costs, pulled
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays may have different lengths
@@ -121,8 +121,8 @@ class PathCosts:
         q = q0[:, None, None] + t[:, None] * changes[:, :, None]
         # Motions that leave the domain are not free, but need a finite cost.
         q = domain.wrapped(np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi))).reshape(-1, dof)
-        rates = motion_rates(motion_cost, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
-        return rates.reshape(n, k, _SAMPLES).mean(axis=2)
+        costs = motion_costs(motion_cost, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
+        return costs.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Nodes, q1: Nodes, tolerance: float) -> Float[np.ndarray, " n"]:
         """Integrate the cost along straight motions from ``q0`` to ``q1``.
@@ -156,7 +156,7 @@ class PathCosts:
             upper = upper * norm + pulled(pulls, part)
             leniency = np.maximum(end - begin, _LEAST_PART) / (end - begin)
             is_fine = (upper - lower <= tolerance * lower * leniency) | (halvings == _MOST_HALVINGS)
-            np.add.at(cost, motion[is_fine], motion_rates(motion_cost, self.cost_map, q[is_fine], part[is_fine]))
+            np.add.at(cost, motion[is_fine], motion_costs(motion_cost, self.cost_map, q[is_fine], part[is_fine]))
             motion, begin, middle, end = motion[~is_fine], begin[~is_fine], middle[~is_fine], end[~is_fine]
             motion, begin, end = np.tile(motion, 2), np.append(begin, middle), np.append(middle, end)
             if not len(motion):

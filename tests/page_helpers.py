@@ -16,6 +16,7 @@ from plr_jax.cli import main
 SLOW = (
     "solve_eikonal(cost.space(",
     "solve_eikonal(space, ",
+    "solve_eikonal(volume, ",
     "solve_eikonal(plane, ",
     "solve_eikonal(body, ",
     "solve_eikonal(arm, ",

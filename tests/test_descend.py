@@ -12,7 +12,7 @@ from space_helpers import far_from, nothing_known
 from plr_jax import LipschitzCost, NearestGoal, PlaneSpace, VisibilityGraph, Workspace, construct, descend, scenes
 from plr_jax._descend import DescentStatus
 from plr_jax.geometry.corners import find_corners
-from plr_jax.spaces import CheckedSpace
+from plr_jax.spaces import CheckedFreeTest
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 UNDEFINED_COST = LipschitzCost(lambda q: q[:, 0] * math.nan, lipschitz=1.0, least=1.0)
@@ -138,7 +138,7 @@ def test_paths_in_an_empty_room_are_straight():
         (lambda x: np.full(len(x), -np.inf), DOOR, [(1, 1)], (8, 2), None, "-inf at .*use inf"),
         (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (nothing_known, 3, [(1, 1)], (1, 1), None, "space must be a configuration space"),
-        (nothing_known, CheckedSpace(PlaneSpace(SQUARE)), [(1, 1)], (1, 1), None, "must have classify and are_free"),
+        (nothing_known, CheckedFreeTest(PlaneSpace(DOOR)), [(1, 1)], (1, 1), None, "must have classify and are_free"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (3, 1), None, "The goal must be a free configuration"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (1, 1, 1), None, "The goal must be one point"),
         (nothing_known, SQUARE, [(1, 1)], (1, 1), 2.0, "cost_map must be a CostMap"),

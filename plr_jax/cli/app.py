@@ -22,14 +22,14 @@ class _Commands(TyperGroup):
         def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
             from plr_jax.plr import ConstructionInterrupted  # slow to import
 
-            if issubclass(category, ConstructionInterrupted):  # do not go on with an incomplete PLR
-                raise KeyboardInterrupt
+            if issubclass(category, ConstructionInterrupted):
+                raise KeyboardInterrupt  # as Ctrl-C would: the command must not go on with an incomplete PLR
             if str(message) not in shown:
                 shown.add(str(message))
                 warn(str(message))
 
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings():  # restores `showwarning` at the end
                 warnings.showwarning = show
                 return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -95,8 +95,8 @@ def fail(message: str, code: int = 2) -> NoReturn:
 
 
 def fail_interrupted(message: str) -> NoReturn:
-    """Print a message on standard error, and end the command with the exit code of Ctrl-C, 130."""
-    typer.echo(message, err=True)
+    """Print a message as one line on standard error, and end the command with the exit code of Ctrl-C, 130."""
+    typer.echo(_as_line(message), err=True)
     raise typer.Exit(INTERRUPTED_EXIT)
 
 

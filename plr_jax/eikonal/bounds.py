@@ -23,7 +23,7 @@ from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, Numbers, SlopeProgram
 from plr_jax.plr.tree import PLACING, corner_bits
-from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes
+from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, SeesBoxes
 
 _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
 # A warning tells if an estimate is outside of its bounds by more than
@@ -106,7 +106,7 @@ class CostToGoField:
         excess = np.where(np.isfinite(self.nodal_estimate), self.nodal_estimate, np.nan)[node] - lower
         allowed = _OFF * np.maximum(lower, _NEAR * self._lower_at_corners.max())
         is_off = np.maximum(-excess, excess + lower - upper) > allowed
-        if is_off.any() and not isinstance(self.space, CheckedSpace):  # nothing is proven of a sampled space
+        if is_off.any() and not isinstance(self.space, CheckedFreeTest):  # nothing is proven of a sampled space
             warnings.warn(
                 f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
                 "bounds. The PLR answers the nearer bound there. Allow more max_leaves.",

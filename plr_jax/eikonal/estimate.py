@@ -20,12 +20,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._types import Reach
 from plr_jax.eikonal.goals import GoalIndex, Goals, Points, carried_goals, nearest_goals
-from plr_jax.eikonal.march import Costs, IsOpen, Sides, VoxelGroups, balls, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.march import Costs, IsOpen, NearGoals, Sides, VoxelGroups, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace
-from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_rates, point_costs, pulled
+from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_costs, point_costs, pulled
 
 MOST_AXES = 3
 # Default numbers of nodes by the number of axes.
@@ -210,7 +210,7 @@ def grid_estimate(
         costs = _straight_costs(space, at_nodes, near, change) + _straight_costs(space, at_goals, goal, change)
         costs = costs / 2
         if cost_map is not None:
-            costs = (costs + 2 * motion_rates(motion_cost, cost_map, flat[near] + change / 2, change)) / 3
+            costs = (costs + 2 * motion_costs(motion_cost, cost_map, flat[near] + change / 2, change)) / 3
         is_better = costs < straight.ravel()[near]
         straight.ravel()[near[is_better]] = costs[is_better]
         known_goal.ravel()[near[is_better]] = goal[is_better]
@@ -235,7 +235,8 @@ def grid_estimate(
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         slowness = motion_cost.blocks[0][1] * factor
         at_goal = motion_cost.blocks[0][1] * at_nearest
-        start, level = balls(is_open, slowness, at_goal, straight, known_goal, sees_nearest, lengths, radius, side)
+        near_goals = NearGoals(straight, known_goal, lengths, sees_nearest, at_goal, radius)
+        start, level = near_goals.start_of_march(is_open, slowness, side)
         cost = marched(is_open, slowness, start, level, side, domain.periodic)
         if cost_map is None:
             cost = np.minimum(cost, straight)

@@ -34,38 +34,43 @@ Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
 
 
-def balls(
-    is_open: IsOpen,
-    slowness: Costs,  # cost per unit of length at each node
-    at_goal: Costs,  # cost per unit of length at the goal nearest to each node
-    straight: Costs,  # cost of a free straight motion from each node to a goal; inf if none is known
-    goal: Int[np.ndarray, "*shape"],  # index of the goal of this motion; -1 if none is known
-    sees_nearest: IsOpen,  # whether the straight motion from each node to its nearest goal is free
-    lengths: Costs,  # distance from each node to its nearest goal
-    radius: float,  # of the balls around goals
-    side: Sides,  # grid step along each axis
-) -> tuple[Costs, float]:
-    """Return the costs-to-go of grid nodes near goals, and the cost at which fast marching starts.
+@dataclass(frozen=True, eq=False)
+class NearGoals:
+    """The goals near each node of a grid, and balls around all goals in which straight motions may be cheapest."""
 
-    The costs-to-go are costs of straight motions to a goal; nodes farther away have ``inf``.
-    """
-    # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
-    #    nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes
-    #    below that cost, and the cheapest node of each goal, get the cost of their straight motion.
-    differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
-    stops = is_open & (~sees_nearest | differs | (lengths >= radius))
-    largest = np.minimum(straight, at_goal * lengths)[stops].min(initial=np.inf)
-    near = goal >= 0
-    cheapest = np.full(goal.max(initial=-1) + 1, np.inf)
-    np.minimum.at(cheapest, goal[near], straight[near])
-    is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
-    start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
-    # 2. March from one step below the largest of these costs, so that nodes on both sides of the first front have
-    #    them; but no goal's cheapest node may lie beyond this front.
-    inside = np.isfinite(start)
-    step = float(slowness[inside].max(initial=0.0) * side.max())
-    level = min(largest, float(start[inside].max(initial=0.0))) - step
-    return start, max(level, float(cheapest[np.isfinite(cheapest)].max(initial=-np.inf)))
+    straight: Costs  # cost of a free straight motion to a goal; inf if none is known
+    goal: Int[np.ndarray, "*shape"]  # index of the goal of this motion; -1 if none is known
+    lengths: Costs  # distance to the nearest goal
+    sees_nearest: IsOpen  # whether the straight motion to the nearest goal is free
+    at_nearest: Costs  # cost per unit of length at the nearest goal
+    radius: float  # of the balls
+
+    def start_of_march(self, is_open: IsOpen, slowness: Costs, side: Sides) -> tuple[Costs, float]:
+        """Return the costs-to-go of grid nodes near goals, and the cost at which fast marching starts.
+
+        The costs-to-go are costs of straight motions to a goal; nodes farther away have ``inf``. ``slowness`` is the
+        cost per unit of length at each node, and ``side`` the grid step along each axis.
+        """
+        # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see
+        #    its nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All
+        #    nodes below that cost, and the cheapest node of each goal, get the cost of their straight motion. The
+        #    other nodes count with that cost or, if less, the cost of their distance at the goal's cost per length,
+        #    which is known even if no straight motion is free.
+        straight, goal = self.straight, self.goal
+        differs = (slowness > _NEARLY * self.at_nearest) | (_NEARLY * slowness < self.at_nearest)
+        stops = is_open & (~self.sees_nearest | differs | (self.lengths >= self.radius))
+        largest = np.minimum(straight, self.at_nearest * self.lengths)[stops].min(initial=np.inf)
+        has_goal = goal >= 0
+        cheapest = np.full(goal.max(initial=-1) + 1, np.inf)
+        np.minimum.at(cheapest, goal[has_goal], straight[has_goal])
+        is_cheapest = has_goal & (straight == cheapest[goal]) if has_goal.any() else has_goal
+        start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
+        # 2. March from one step below the largest of these costs, so that nodes on both sides of the first front have
+        #    them; but no goal's cheapest node may lie beyond this front.
+        inside = np.isfinite(start)
+        step = float(slowness[inside].max(initial=0.0) * side.max())
+        level = min(largest, float(start[inside].max(initial=0.0))) - step
+        return start, max(level, float(cheapest[np.isfinite(cheapest)].max(initial=-np.inf)))
 
 
 def marched(
@@ -77,7 +82,12 @@ def marched(
     pass. ``slowness`` is the cost per unit of length at each node, and ``side`` the grid step along each axis. Nodes
     that cannot be reached have the cost ``inf``.
     """
+    # scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts as
+    # 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its slowness.
+    #
     # 1. The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
+    #    `np.roll` gives each node the entry of its neighbor before (step 1) or after it (step -1). Unless the axis is
+    #    periodic, the first or last layer has no such neighbor.
     is_core = start <= level
     reached, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
@@ -94,9 +104,7 @@ def marched(
     front = inverse_square > 0
     if not front.any():
         return np.where(is_core, start, np.inf)
-    # 2. scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts
-    #    as 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its
-    #    slowness. So these nodes get the slowness at which the time is the difference of their known cost and the
+    # 2. Nodes beside the front get the slowness at which their time is the difference of their known cost and the
     #    level.
     time = np.where(is_core[front], level - reached[front], reached[front] - level)
     slowness = slowness.copy()
@@ -137,8 +145,12 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    # Remove the error proportional to the step, by Richardson extrapolation from every second node: the cost of the
-    # limit is about cost + (cost - cost with twice the step). The change is interpolated to the other nodes.
+    """Return the ``cost`` of a march without the error that is proportional to the grid step.
+
+    This is Richardson extrapolation: in the limit of small steps, the cost is about ``cost`` plus the difference of
+    ``cost`` and the cost with twice the step. The latter comes from a march over every second node, which starts from
+    nodes whose ``cost`` is at most ``level``. The difference is interpolated to the other nodes.
+    """
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))
@@ -150,7 +162,7 @@ def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, si
 
 @dataclass(frozen=True, eq=False)
 class VoxelGroups:
-    """Groups of voxels: cubes of ``size`` voxels along each axis, each of which is one node of a coarse grid.
+    """Groups of voxels: cubes of ``size`` (odd) voxels along each axis, each of which is a node of a coarse grid.
 
     A node stands for one *part* of its group's free voxels: all voxels that are connected, through faces within the
     group, to the free voxel ``x`` nearest to the middle of the group::
@@ -185,49 +197,51 @@ class VoxelGroups:
         before = np.rint((domain.lo - box.lo) / side).astype(int)
         after = np.array(shape) * size - free.shape - before
         free = np.pad(free, list(zip(before, after, strict=True)))
-        part = free.copy()
-        free_blocks, part_blocks = _blocks(free, size), _blocks(part, size)  # views: to write a block writes voxels
-        is_full, has_part = free, free
+        is_full, has_part = free, free  # reduced axis by axis, since NumPy reduces one axis in the least time
         for axis in range(dim):
             split = (*is_full.shape[:axis], shape[axis], size, *is_full.shape[axis + 1 :])
             is_full = np.logical_and.reduce(is_full.reshape(split), axis + 1)
             has_part = np.logical_or.reduce(has_part.reshape(split), axis + 1)
-        # 2. The voxel `x` of each group, and the part of the group that is joined to it. In groups that are not full
-        #    (`mixed`, one in each row), the first voxel by `order` is x: a goal's voxel has -1, free voxels have
-        #    their squared distance from the middle, and blocked voxels a larger number.
+        # 2. The voxel `x` of each group that is not full (`mixed`, one in each row): the first voxel by `order`. A
+        #    goal's voxel has -1, free voxels have their squared distance from the middle, and blocked voxels a larger
+        #    number.
         mixed = np.nonzero(has_part & ~is_full)
+        goal_voxel = tuple(np.floor((goals - box.lo) / side).astype(int).clip(0, np.array(free.shape) - 1).T)
+        holds_goal = np.zeros(free.shape, bool)
+        holds_goal[goal_voxel] = free[goal_voxel]
+        is_free, is_goal = (_blocks(voxels, size)[mixed].reshape(-1, size**dim) for voxels in (free, holds_goal))
         offset = np.array(list(product(range(size), repeat=dim)))
         from_middle = np.sum((offset - size // 2) ** 2, axis=1)
-        order = np.where(free_blocks[mixed].reshape(-1, size**dim), from_middle, size**2 * dim)
-        voxel = np.floor((goals - box.lo) / side).astype(int).clip(0, np.array(free.shape) - 1)
-        row = np.full(shape, -1)
-        row[mixed] = np.arange(len(order))
-        home = tuple((voxel // size).T)
-        holds = np.flatnonzero((row[home] >= 0) & free[tuple(voxel.T)])
-        order[row[home][holds], np.ravel_multi_index(tuple((voxel % size)[holds].T), (size,) * dim)] = -1
+        order = np.where(is_free, from_middle, size**2 * dim)
+        order[is_goal] = -1
         nearest = order.argmin(axis=1)
+        # 3. The part of each group: the voxels that are joined to x.
         joined = np.zeros(order.shape, bool)
         joined[np.arange(len(order)), nearest] = True
         across_faces = ndimage.generate_binary_structure(dim, 1)[None]  # within a row, not from row to row
-        joined = ndimage.binary_propagation(joined.reshape(-1, *(size,) * dim), across_faces, free_blocks[mixed])
+        block = (-1, *(size,) * dim)
+        joined = ndimage.binary_propagation(joined.reshape(block), across_faces, is_free.reshape(block))
+        part = free.copy()
+        part_blocks = _blocks(part, size)  # a view: to write a block writes voxels
         part_blocks[mixed] = joined
         middles = np.moveaxis(np.indices(shape), 0, -1) * size + size / 2
         middles[mixed] += offset[nearest] - size // 2
-        # 3. Close one of each two neighbor nodes whose parts no face joins: the node of higher rank. The whole part
+        # 4. Close one of each two neighbor nodes whose parts no face joins: the node of higher rank. The whole part
         #    of a rank is the width of the place, its fraction the share of voxels outside the part; goals stay open.
         rank = np.rint(_RANKS * ndimage.uniform_filter(is_full.astype(np.float32), _WIDE, mode="constant"))
         rank[mixed] += 1 - joined.mean(axis=tuple(range(1, dim + 1)))
-        rank[home] = -1.0
+        rank[tuple(along // size for along in goal_voxel)] = -1.0
         is_open = has_part.copy()
         for axis in range(dim):
-            low, high = ((slice(None),) * axis + (end,) for end in (slice(-1), slice(1, None)))
-            # The last layer of voxels in each group meets the first layer in the next group.
+            lower_groups, upper_groups = ((slice(None),) * axis + (end,) for end in (slice(-1), slice(1, None)))
+            # The last layer of voxels in each lower group meets the first layer in the upper group. An array of
+            # layers has the dim axes of groups, then the dim - 1 axes of voxels in a layer.
             last, first = (np.moveaxis(part_blocks, dim + axis, 0)[end] for end in (-1, 0))
-            touch = last[low] & first[high]
-            is_walled = is_open[low] & is_open[high] & ~touch.any(axis=tuple(range(dim, 2 * dim - 1)))
-            is_wider = rank[low] > rank[high]
-            is_open[low] &= ~(is_walled & is_wider)
-            is_open[high] &= ~(is_walled & ~is_wider)
+            touch = (last[lower_groups] & first[upper_groups]).any(axis=tuple(range(dim, 2 * dim - 1)))
+            is_walled = is_open[lower_groups] & is_open[upper_groups] & ~touch
+            is_wider = rank[lower_groups] > rank[upper_groups]
+            is_open[lower_groups] &= ~(is_walled & is_wider)
+            is_open[upper_groups] &= ~(is_walled & ~is_wider)
         return cls(box, size, free, part, has_part, is_open, box.lo + middles * side)
 
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
@@ -237,18 +251,18 @@ class VoxelGroups:
         node nearest to the goal. For a group, the cost of its other voxel that is nearest to the goal is returned:
         ``inf`` if it has none, or no path leads there.
         """
-        of_parts, others = self._costs_across_faces(cost, slowness)
-        labeled: Any = ndimage.label(self.is_open & np.isfinite(of_parts))  # finite: the march missed the node
+        missed_cost, others = self._costs_across_faces(cost, slowness)
+        labeled: Any = ndimage.label(self.is_open & np.isfinite(missed_cost))
         region, num = labeled
         if not num:
             return cost, others
         cost = cost.copy()
         for index, box in enumerate(ndimage.find_objects(region), 1):
             is_inside = region[box] == index
-            least = float(of_parts[box][is_inside].min())
-            start = np.where(is_inside & (of_parts[box] == least), least, np.inf)
+            least = float(missed_cost[box][is_inside].min())
+            start = np.where(is_inside & (missed_cost[box] == least), least, np.inf)
             costs = marched(is_inside, slowness[box], start, least, self.box.width / cost.shape, (False,) * cost.ndim)
-            cost[box] = np.where(is_inside, np.minimum(costs, of_parts[box]), cost[box])
+            cost[box] = np.where(is_inside, np.minimum(costs, missed_cost[box]), cost[box])
         return cost, self._costs_across_faces(cost, slowness)[1]
 
     def _costs_across_faces(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
@@ -261,7 +275,7 @@ class VoxelGroups:
         # 1. The voxels of unknown cost.
         dim, size, shape = self.free.ndim, self.size, np.array(self.free.shape)
         is_known = self.part.copy()
-        _blocks(is_known, size)[...] &= np.isfinite(cost)[(..., *(None,) * dim)]
+        _blocks(is_known, size)[...] &= np.isfinite(cost)[(..., *(None,) * dim)]  # writes into `is_known`
         voxel = np.argwhere(self.free & ~is_known)
         flat = np.asarray(np.ravel_multi_index(tuple(voxel.T), self.free.shape))
         num, side = len(voxel), self.box.width / shape
@@ -278,19 +292,20 @@ class VoxelGroups:
             start[starts] = np.minimum(start[starts], cost[node] + slowness[node] * np.linalg.norm(away, axis=1))
             target = np.asarray(np.ravel_multi_index(tuple(beside[inside].T), self.free.shape))
             place = np.searchsorted(flat, target)
-            joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == target)
+            joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == target)  # targets in `flat`, which ascends
             edges.append((inside[joined], place[joined], side[axis] * slowness[group][inside[joined]]))
-        # 3. Dijkstra's algorithm from one more node, `num`, which has an edge to each start.
+        # 3. Dijkstra's algorithm from one more node, `num`, which has an edge to each start. A sparse matrix has no
+        #    edges of length 0.
         starts = np.flatnonzero(np.isfinite(start))
         edges.append((np.full(len(starts), num), starts, start[starts]))
         begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))
         graph = csr_array((np.maximum(length, np.finfo(float).tiny), (begin, end)), (num + 1, num + 1))
         distance: Any = dijkstra(graph, indices=num)
-        of_parts, others = np.full(cost.shape, np.inf), np.full(cost.shape, np.inf)
+        missed_cost, others = np.full(cost.shape, np.inf), np.full(cost.shape, np.inf)
         in_part = np.flatnonzero(self.part[tuple(voxel.T)])
-        np.minimum.at(of_parts, tuple(voxel[in_part].T // size), distance[in_part])
+        np.minimum.at(missed_cost, tuple(voxel[in_part].T // size), distance[in_part])
         np.minimum.at(others, group, distance[:num])
-        return of_parts, others
+        return missed_cost, others
 
 
 def _blocks(voxels: Bool[np.ndarray, "..."], size: int) -> Bool[np.ndarray, "..."]:

@@ -28,7 +28,7 @@ from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import BudgetTooSmall, ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
-from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, FreeTest, Separable, require_space
+from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, FreeTest, Separable, require_space
 from plr_jax.spaces._costs import CostMap, cost_bounds
 
 _MAX_CELLS = {1: 2_000, 2: 10_000}  # default of max_leaves with bounds, by the number of axes
@@ -445,7 +445,7 @@ _NUM_OF_MOTION = 33  # samples of a motion
 
 
 @dataclass(frozen=True, eq=False)
-class SampledSpace(CheckedSpace):
+class SampledSpace(CheckedFreeTest):
     """A configuration space that classifies boxes and motions by testing samples, so nothing is proven."""
 
     seed: int

@@ -21,15 +21,15 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 `distance` is `inf` and `nearest` is -1.
 
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
-- Rasters of up to 2 million cells, or 4 million with `bounds=True` or with heights, take kilobytes of memory a cell.
-  Larger rasters, without bounds and heights, take 100 bytes a cell, and have the errors of scikit-fmm: 0.1 to 0.3 %
-  on average where costs change slowly, 0.5 to 7 % where costs jump.
+- Rasters of up to 2 million cells, or 4 million with `bounds=True` or with heights, take kilobytes of memory a cell:
+  about 9 GB for 2 million cells. Larger rasters, without bounds and heights, take 100 bytes a cell, and have the
+  errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where costs jump.
 
 # A least-cost path
 
 `result.path` returns a path from the center of a point's cell to the nearest source. Its cost is the distance there.
-Results for rasters of more than 2 million cells have no paths, unless you ask for bounds or give heights: follow a
-PLR instead, as below.
+If a raster has more than 2 million cells, the result has paths only with `bounds=True` or with heights: else follow a
+PLR, as below.
 
 ```python
 village = (70.5 * 30, 50.5 * 30)  # the center of cell [50, 70]
@@ -39,9 +39,9 @@ print(result.path(village))  # vertices (n, 2)
 # How good is it?
 
 `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
-`upper` is the distance, rounded up, so only `lower` adds information. The bounds are on average 2 to 4 % of the
-mean distance apart in our experiments. As a share of the distance itself, the gap is larger near sources, and may be
-so everywhere if costs of neighbors differ by a factor of 100 or more.
+`upper` is the distance, rounded up, so only `lower` adds information. In our experiments, the mean gap between the
+bounds is 2 to 4 % of the mean distance. As a share of the distance itself, the gap is larger near sources, and
+may be everywhere if costs of neighbors differ by a factor of 100 or more.
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
@@ -82,7 +82,7 @@ costs = rioxarray.open_rasterio("friction.tif", masked=True).squeeze("band")
 result = plr_jax.cost_distance(costs, clinics)
 result.distance.rio.to_raster("minutes.tif")  # inf where no clinic can be reached
 minutes = result.distance.where(np.isfinite(result.distance), -9999)  # -9999 instead of inf
-minutes.rio.write_nodata(-9999).rio.to_raster("minutes.tif")
+minutes.rio.write_nodata(-9999).rio.to_raster("minutes_with_nodata.tif")
 raster = plr_jax.RasterCost(costs, interpolation="nearest")  # for descend, in the coordinates of the file
 ```
 

@@ -24,10 +24,9 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
 
 - `certified=False`: an estimate in up to three dimensions. Mean errors: mostly below 0.5 %, in volumes 0.4 to 6 %.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
-  no proven path was found, such as beside obstacles; more leaves help.
+  no proven path was found, such as beside obstacles.
 - Several goals are the rows of an array. Then `plr.which(x)` works only before saving, and not under `jit`.
-- `max_bytes` limits the file. If bounds are too loose, raise `max_leaves` above its default, 10,000 in the plane: the
-  file may stay as small.
+- For tighter bounds, raise `max_leaves` above its default, 10,000 in the plane. `max_bytes` limits the file.
 
 # Costs
 
@@ -51,15 +50,16 @@ print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)
 
 # Compare with a grid solver
 
-Give a grid solver the `cost` at its nodes, not `values`, with at least 8 nodes along a side of a cell.
+Give a grid solver the `cost` at its nodes, not `values`, with at least 8 nodes along a side of a cell. Start it on a
+circle around the goal in which the cost is 1: beside a single point, grid solvers err most.
 
 ```python
 import skfmm
 
 x, y = np.meshgrid(np.arange(0.00625, 6, 0.0125), np.arange(0.00625, 4, 0.0125))  # 8 nodes along a side
 nodes = np.stack([x.ravel(), y.ravel()], axis=1)
-ring = np.ma.array(np.hypot(x - 0.5, y - 2) - 0.2, mask=~space.is_free(nodes).reshape(x.shape))  # around the goal
-marched = 0.2 + np.sign(ring) * skfmm.travel_time(ring, 1 / cost(nodes).reshape(x.shape), dx=0.0125)  # cost 1 there
+ring = np.ma.array(np.hypot(x - 0.5, y - 2) - 0.2, mask=~space.is_free(nodes).reshape(x.shape))  # 0 on the circle
+marched = 0.2 + np.sign(ring) * skfmm.travel_time(ring, 1 / cost(nodes).reshape(x.shape), dx=0.0125)
 truth = plr_jax.GridField(marched.filled(np.inf), bounds=((0, 0), (6, 4)))
 print(plr_jax.metrics.error_map(plr, truth, nodes[space.is_free(nodes)][::100]))
 ```
@@ -71,10 +71,10 @@ Voxels are `free[x, y, z]`, unlike rasters. `scenes.read_volume` reads `.npy` an
 ```python
 free = np.ones((12, 12, 8), bool)
 free[6, :9] = False
-space = plr_jax.VoxelSpace(free, radius=0.4)  # a ball; radius 0 is a point
-plr = plr_jax.solve_eikonal(space, goal=(2, 2, 2), max_leaves=300, certified=False)
+volume = plr_jax.VoxelSpace(free, radius=0.4)  # for a ball; radius 0 is a point
+to_goal = plr_jax.solve_eikonal(volume, goal=(2, 2, 2), max_leaves=300, certified=False)
 graph = plr_jax.VoxelGraph(free, goal=(2.5, 2.5, 2.5), moves=26)  # lengths from voxel to voxel
-print(plr([[10.5, 2.5, 2.5]]), graph([[10.5, 2.5, 2.5]]))
+print(to_goal([[10.5, 2.5, 2.5]]), graph([[10.5, 2.5, 2.5]]))
 ```
 
 # Bodies, arms, and any robot with a clearance
@@ -86,17 +86,17 @@ print(plr([[10.5, 2.5, 2.5]]), graph([[10.5, 2.5, 2.5]]))
 ```python
 hall = plr_jax.Workspace(((0, 0), (4, 3)), [[(1.8, 0), (2.2, 0), (2.2, 1.2), (1.8, 1.2)]])
 body = plr_jax.RigidBodySpace(hall, plr_jax.RectangleRobot(0.8, 0.3))
-moves = plr_jax.solve_eikonal(body, goal=(0.6, 0.5, 0), max_leaves=500, certified=False)
+body_plr = plr_jax.solve_eikonal(body, goal=(0.6, 0.5, 0), max_leaves=500, certified=False)
 
 arm = plr_jax.PlanarArm(hall, lengths=(0.8, 0.6), base=(0.9, 1.5), width=0.05)
-turns = plr_jax.solve_eikonal(arm, goal=(0, 0.5), max_leaves=500)
+arm_plr = plr_jax.solve_eikonal(arm, goal=(0, 0.5), max_leaves=500)
 
 def clearance(q):  # of a ball of radius 0.2 beside a sphere of radius 0.8
     return np.linalg.norm(q - (2, 1, 1), axis=1) - 1
 
 ball = plr_jax.ClearanceSpace(((0, 0, 0), (4, 3, 3)), clearance, lipschitz=1)
-flight = plr_jax.solve_eikonal(ball, goal=(0.2, 2.5, 2.5), max_leaves=2000)
-print(moves((3.4, 0.5, 0)), turns((2, 0)), flight((3.8, 0.5, 0.5)), flight.bounds((3.8, 0.5, 0.5)))
+ball_plr = plr_jax.solve_eikonal(ball, goal=(0.2, 2.5, 2.5), max_leaves=2000)
+print(body_plr((3.4, 0.5, 0)), arm_plr((2, 0)), ball_plr((3.8, 0.5, 0.5)), ball_plr.bounds((3.8, 0.5, 0.5)))
 ```
 
 # Your own space
@@ -111,11 +111,11 @@ class Pipe:  # the surface of a pipe: a length and an angle, with a hole
     def is_free(self, q):
         return np.hypot(q[:, 0] - 5, q[:, 1]) >= 1
 
-walk = plr_jax.solve_eikonal(Pipe(), goal=(1, 0), max_leaves=500, certified=False)
-print(walk((9, 0)), walk((9, 3)))
+pipe_plr = plr_jax.solve_eikonal(Pipe(), goal=(1, 0), max_leaves=500, certified=False)
+print(pipe_plr((9, 0)), pipe_plr((9, 3)))
 ```
 
 Proofs need a `plr_jax.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.CellState` for each box, and
 `are_free(q0, q1)` tests motions. Answer FREE or BLOCKED only if this is proven; MIXED is always allowed. With
-`sees_boxes`, a `plr_jax.SeesBoxes`, upper bounds are finite beside walls too, except at a few points by their ends.
+`sees_boxes`, a `plr_jax.SeesBoxes`, upper bounds are finite beside walls too, except at a few points by walls' ends.
 """

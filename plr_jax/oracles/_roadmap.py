@@ -95,10 +95,8 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
         num_free += len(accepted[-1])
         num_drawn += batch
         if num_drawn >= _DRAWS_BEFORE_GIVING_UP and num_free < _MIN_FREE_FRACTION * num_drawn:
-            raise ValueError(
-                f"Only {num_free} of {num_drawn} configurations drawn from the domain {domain} are free; "
-                "shrink the domain around free space, or check is_free."
-            )
+            advice = "shrink the domain around free space, or check is_free"
+            raise ValueError(f"Only {num_free} of {num_drawn} draws from the domain {domain} are free; {advice}.")
     return np.concatenate(accepted)[:num_samples], float(np.prod(metric.widths)) * num_free / num_drawn
 
 
@@ -116,7 +114,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
     return pairs[visible].astype(np.int32)
 
 
-def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, " n"]:
+def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, " n"]:
     # The test is called only for configurations in the domain; others are not free.
     inside = domain.contains(x)
     if inside.any():
@@ -124,7 +122,7 @@ def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, " n"]:
     return inside
 
 
-def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, " n"]:
+def _checked_is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, " n"]:
     if len(a) == 0:
         return np.zeros(0, dtype=bool)
     return as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
@@ -148,6 +146,7 @@ def _is_visible_sampled(
     is_visible = np.ones(len(a), dtype=bool)
     stride = 1 << max(int(num_steps.max(initial=0)) - 1, 0).bit_length()
     while stride := stride // 2:
+        # Of the n - 1 points between n steps, (n - 1) // stride are multiples of the stride; the odd ones are new.
         num_tests = np.where(is_visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)
         for rows in parts(num_tests, _BATCH):
             row, test = ragged_indices(num_tests[rows])
@@ -214,7 +213,7 @@ class Roadmap:
         # 1. Check the arguments, and wrap the tests so that they check answers.
         require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
-        is_free = partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
+        is_free = partial(_checked_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
         weights = np.ones(domain.dim) if weights is None else as_finite_point("weights", weights, domain.dim)
         if (weights <= 0).any():
             raise ValueError(f"weights must be positive, one per axis, got {weights.tolist()}.")
@@ -225,7 +224,7 @@ class Roadmap:
             step = as_finite("resolution", resolution, positive=True)
             is_visible = partial(_is_visible_sampled, metric, is_free, step)
         else:
-            is_visible = partial(_is_visible, domain, is_visible)
+            is_visible = partial(_checked_is_visible, domain, is_visible)
         goal = _free_goal(domain, is_free, goal)
         # 2. Draw vertices, join near ones that see each other, and find shortest paths to the goal.
         samples, free_volume = sample_free(metric, is_free, num_samples, seed)
@@ -320,6 +319,7 @@ class Roadmap:
         return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _settled(self, x: ArrayLike) -> ArrayLike:
+        # Move points that rounding to 32 bits has put outside the domain or into obstacles.
         return self.domain.settled(x, self.is_free) if self._workspace is None else self._workspace.settled(x)
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, " n"]]:
@@ -328,7 +328,7 @@ class Roadmap:
         The index is -1 if the point is not free or sees no vertex.
         """
         distance, first = np.full(len(x), np.inf), np.full(len(x), -1)
-        pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
+        pending, inner, outer = np.flatnonzero(self.is_free(x)), -np.inf, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
         while pending.size and inner < diameter:
             distance[pending], first[pending] = self._connect(x[pending], inner, outer)
@@ -351,20 +351,22 @@ class Roadmap:
         # with infinite lengths, and the number of vertices as index.
         limit = np.nextafter(outer, np.inf)
         distances = np.append(self.distances, np.inf)
+
+        def sees(batch, vertex, point, column):
+            return self.is_visible(batch[point], vertices[vertex[point, column]])
+
         begins = range(0, len(x), step)
         for begin in tqdm(begins, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
             # 2. Find the near vertices, and the length of the path through each; NaN excludes a vertex.
+            #    The tree refuses to look for no vertices.
             rows = slice(begin, begin + step)
-            batch, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
+            batch, nearest = x[rows], np.arange(1, 1 + max(1, int(count[rows].max())))
             length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
             through = length + distances[vertex]
             through[(length <= inner) | np.isinf(length)] = np.nan
-            # 3. Take the shortest path whose first vertex is visible. Column -1, if none is, is appended.
-            column, shortest = first_visible(
-                through,
-                lambda point, way, x=batch, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
-                at_once=1,
-            )
+            # 3. Take the shortest path whose first vertex is visible. If none is, the column is -1, and so is the
+            #    vertex in the last column, which is appended.
+            column, shortest = first_visible(through, partial(sees, batch, vertex), at_once=1)
             vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
             distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), column[:, 0]]
         return distance, first

@@ -111,7 +111,7 @@ def construct_many(
         task = family_task(first, domain, limits) if key >= 0 and isinstance(first, FamilyFn) else None
         work = partial(_files, alone, task, leaf_model(model.name))
         split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
-        chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
+        chunks += [Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
     total = len(oracles)
     with tqdm(desc="construct_many", unit=" PLRs", total=total, delay=2, leave=False, disable=None) as progress:
         files, is_interrupted = build_chunks(chunks, executor, progress)

@@ -190,7 +190,8 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
     lo, hi = map(np.concatenate, zip(*(file.tree.leaves.boxes(domain) for file in contents), strict=True))
     coefficients = np.concatenate([filled_coefficients(file) for file in contents])
     seen = np.unique(visible.cell)
-    if len(blind := seen[np.isinf(coefficients[seen, 0])]):
+    blind = seen[np.isinf(coefficients[seen, 0])]
+    if len(blind):
         raise ValueError(
             "A proof needs a finite function in every leaf with points that reach the goal, got inf in the leaf from "
             f"{lo[blind[0]].tolist()} to {hi[blind[0]].tolist()}, where no sample met such a point. Build the PLR "
@@ -205,7 +206,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
         volume = np.ldexp(1.0, -file.tree.leaves.depth.sum(axis=1))
         num_bytes = len(body_of_leaves(file).to_bytes())
         certificate = partial(Certificate.of, proof=proof, volume=volume, num_bytes=num_bytes)
-        targets.append(_Targets(leaves, rounding, certificate))
+        targets.append(_SufficientBounds(leaves, rounding, certificate))
 
     def sufficient(least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         bounds = [target(least[target.leaves], most[target.leaves], recompute) for target in targets]
@@ -218,7 +219,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 
 @dataclass(eq=False)
-class _Targets:
+class _SufficientBounds:
     """A function of attained errors that returns error bounds that suffice for the file of one PLR.
 
     A proof of several PLRs uses one such function for each PLR to tell when it can stop.
@@ -228,7 +229,7 @@ class _Targets:
     rounding: Errors
     certificate: Callable[..., Certificate]  # ``Certificate.of`` for this PLR
     last: Certificate | None = None  # certificate of the attained errors that were encoded last
-    attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call
+    attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call, one in each row
 
     def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
@@ -236,16 +237,17 @@ class _Targets:
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.
 
-        ``least`` and ``most`` are the smallest and largest errors found so far in each leaf. If ``recompute`` is
-        False, bounds for an earlier file may be returned.
+        ``least`` and ``most`` are the smallest and largest errors found so far in each leaf. ``recompute`` is True in
+        the first round of a proof, and when no piece is open. If it is False, bounds for an earlier file may be
+        returned.
         """
         # Tighter bounds would hardly change the file of the attained errors. Encode this file again only if attained
         # errors changed, since late in a proof, few PLRs still improve. If `recompute` is False, an earlier file
         # whose leaves share one bound will do as long as this bound holds all attained errors.
-        attained = np.stack([least, most, np.full(len(least), recompute)])
-        last = self.last
-        if last is None or self.attained is None or not np.array_equal(self.attained, attained):
-            self.attained = attained
-            if last is None or recompute or last.codes is not None or max(most.max(), -least.min()) > last.scale:
-                self.last = last = self.encode(least, most, None if recompute else last)
+        last, attained = self.last, np.stack([least, most, np.full(len(least), recompute)])
+        is_changed = self.attained is None or not np.array_equal(self.attained, attained)
+        holds_all = last is not None and last.codes is None and max(most.max(), -least.min()) <= last.scale
+        if last is None or (is_changed and (recompute or not holds_all)):
+            self.last = last = self.encode(least, most, None if recompute else last)
+        self.attained = attained
         return last.sufficient_bounds(least, most, self.rounding)

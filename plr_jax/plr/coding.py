@@ -9,7 +9,7 @@ from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 _BITS = 7  # bits of the value in each byte of a varint
 _MOST_BYTES = 10  # of a varint
 _MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
-_COUNT_BITS = 32  # of a set's size
+_COUNT_BITS = 32  # of the number of a set's members
 _ORDER_BITS = 5  # of the order of Exp-Golomb codes
 _MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
@@ -84,7 +84,7 @@ class BitWriter:
         return self.write(bits_of_floats(values), 32)
 
     def write_set(self, member: Bool[np.ndarray, " n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``: its size, then the gaps between its members as Exp-Golomb codes."""
+        """Append a subset of ``range(n)``: how many members it has, then the gaps between them, Exp-Golomb coded."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
@@ -98,10 +98,9 @@ class BitWriter:
         if not len(values):
             return self
         if values.max() >= _MAX_CODED:
-            raise ValueError(
-                f"Stored integers must be below 2**40, got {values.max():,}: the distances vary too much. "
-                "Scale the distances down or shrink the domain."
-            )
+            advice = "the distances vary too much. Scale the distances down or shrink the domain."
+            raise ValueError(f"Stored integers must be below 2**40, got {values.max():,}: {advice}")
+        # Choose the order k that takes the fewest bits: 2 * e + 1 + k for each value.
         orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # higher orders only add bits
         order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
         extra = _extra_bits(values, order)
@@ -156,21 +155,25 @@ class BitReader:
     def read_floats(self, num_values: int) -> Float[np.ndarray, " n"]:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
-    def read_set(self, size: int) -> Bool[np.ndarray, " n"]:
-        """Read a subset of ``range(size)``, and return whether each number is a member."""
-        member = np.zeros(size, bool)
-        member[self.read_members(size)] = True
-        return member
+    def read_set(self, universe: int) -> Bool[np.ndarray, " n"]:
+        """Read a subset of ``range(universe)``, and return whether each number is a member."""
+        is_member = np.zeros(universe, bool)
+        is_member[self.read_members(universe)] = True
+        return is_member
 
-    def read_members(self, size: int) -> Int[np.ndarray, " members"]:
-        """Read a subset of ``range(size)`` as a sorted array of its members; memory does not depend on ``size``."""
+    def read_members(self, universe: int) -> Int[np.ndarray, " members"]:
+        """Read a subset of ``range(universe)`` as a sorted array of its members.
+
+        Memory does not depend on ``universe``.
+        """
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
-        if num_members > size:
-            raise ValueError(f"it names {num_members} members of {size}")
+        if num_members > universe:
+            raise ValueError(f"it names {num_members} members of {universe}")
         gaps = self.read_coded(num_members)
-        if (gaps >= size).any() or (index := np.cumsum(gaps + 1) - 1).max(initial=-1) >= size:
-            raise ValueError(f"it names a member beyond the last of {size}")
-        return index
+        members = np.cumsum(gaps + 1) - 1
+        if (gaps >= universe).any() or members.max(initial=-1) >= universe:  # sums of larger gaps may overflow
+            raise ValueError(f"it names a member beyond the last of {universe}")
+        return members
 
     def read_coded(self, num_values: int) -> Int[np.ndarray, " n"]:
         """Read the Exp-Golomb codes of :meth:`BitWriter.write_coded`."""
@@ -180,6 +183,7 @@ class BitReader:
         extra = self.read_unary(num_values)
         if order + extra.max() > _MAX_WIDTH:
             raise ValueError("it holds a number that is too large")
+        # Put the leading one of v + 2**k back, then subtract 2**k.
         values = self.read(order + extra) + (np.int64(1) << (order + extra)) - (1 << order)
         if values.max() >= _MAX_CODED:
             raise ValueError("it holds a number that is too large")
@@ -215,13 +219,13 @@ def _extra_bits(values: Int[np.ndarray, " n"], order: int) -> Int[np.ndarray, " 
     return (np.frexp((values + (1 << order)).astype(float))[1] - 1 - order).astype(np.int64)
 
 
-def bits_of_set(num_members: int, size: int) -> int:
-    """Return the most bits that a subset of ``range(size)`` with ``num_members`` members takes in a file.
+def bits_of_set(num_members: int, universe: int) -> int:
+    """Return the most bits that a subset of ``range(universe)`` with ``num_members`` members takes in a PLR file.
 
-    The number is 0 for an empty set, which is not written.
+    For an empty set, the result is 0: files leave the set out, although :meth:`BitWriter.write_set` could write it.
     """
     # A gap ``g`` takes at most ``2 log2(g + 1) + 1`` bits, a concave function, so equal gaps take the most.
-    of_gaps = num_members * (1 + 2 * np.log2(max(size, 1) / max(num_members, 1)))
+    of_gaps = num_members * (1 + 2 * np.log2(max(universe, 1) / max(num_members, 1)))
     return _COUNT_BITS + _ORDER_BITS + int(np.ceil(of_gaps)) if num_members else 0
 
 
@@ -236,7 +240,7 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
     """Append each level of a tree: a bit per node (1 if split), then ``ceil(log2(dim))`` bits for each axis."""
-    first, num_nodes = 0, 1  # nodes of a level
+    first, num_nodes = 0, 1  # of the nodes of a level, which have consecutive numbers
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)
         body.write(tree.axis[split], _axis_bits(tree.cells.dim))

@@ -5,7 +5,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -34,8 +34,9 @@ class ParallelOracle:
             answers = [np.empty(0)]
             for part, future in zip_longest(parts, futures):
                 answer = None
-                with suppress(BrokenExecutor):
-                    answer = future and future.result()
+                if future is not None:
+                    with suppress(BrokenExecutor):
+                        answer = future.result()
                 # If the worker died, this process computes the answer.
                 answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
         finally:
@@ -44,14 +45,16 @@ class ParallelOracle:
         return np.concatenate(answers)
 
 
-Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
-"""Indices of some results (such as PLRs), and a function that computes the bytes of each."""
+class Chunk(NamedTuple):
+    """A task of one worker, which computes the bytes of several results, such as files of PLRs."""
+
+    indices: list[int]  # of the results among those of all chunks
+    compute: Callable[[], list[bytes]]  # returns the bytes of each result
 
 
 def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> tuple[dict[int, bytes], bool]:
     """Compute the results of all chunks, such as files of PLRs, on parallel workers.
 
-    A chunk is a pair: the indices of some results, and a function that returns the bytes of these results.
     ``executor`` computes the chunks. If it is None or a worker dies, threads of this process compute the missing
     chunks. ``progress`` counts the results. Return the finished results by index, and whether an interrupt (Ctrl-C)
     stopped the computation.
@@ -61,7 +64,9 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
     try:
         if executor is not None:
             _build_by(executor, chunks, results, progress)
-        _build_by(threads, [chunk for chunk in chunks if chunk[0][0] not in results], results, progress)
+        # A chunk has all of its results or none.
+        missing = [chunk for chunk in chunks if chunk.indices[0] not in results]
+        _build_by(threads, missing, results, progress)
     except KeyboardInterrupt:
         return results, True
     finally:
@@ -70,20 +75,19 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
 
 
 def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], progress: tqdm) -> None:
-    """Compute chunks on the workers of a pool; as each chunk finishes, add its results to ``results`` by index.
+    """Compute chunks on the workers of a pool, and add the results of finished chunks to ``results`` by index.
 
-    If workers die, the results of some chunks stay missing.
+    If workers die or an interrupt (Ctrl-C) stops the computation, the results of some chunks stay missing.
     """
     futures: dict[Future[list[bytes]], list[int]] = {}
     try:
         with suppress(BrokenExecutor):
-            for numbers, build in chunks:
-                futures[pool.submit(build)] = numbers
+            for chunk in chunks:
+                futures[pool.submit(chunk.compute)] = chunk.indices
         for future in as_completed(futures):
             with suppress(BrokenExecutor):
-                results.update(zip(futures[future], future.result(), strict=True))
-                progress.update(len(futures[future]))
-    finally:  # after an interrupt, keep what is finished
-        for future, numbers in futures.items():
+                progress.update(len(future.result()))
+    finally:  # after an interrupt or an error, keep what is finished
+        for future, indices in futures.items():
             if not future.cancel() and future.done() and future.exception() is None:
-                results.update(zip(numbers, future.result(), strict=True))
+                results.update(zip(indices, future.result(), strict=True))

@@ -13,42 +13,45 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class SourceCache:
-    """A cache of the *sources* of cells: corners (or the goal) to which shortest paths from a cell may go first.
+    """A cache of the sources of cells, which computes the sources of a cell's half from the sources of the cell.
 
-    The sources of a cell's half are computed from the sources of the cell. ``root`` has the sources of the whole
-    domain.
+    ``root`` has the sources of the whole domain.
     """
 
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []
-        self._hashes = np.zeros(0, np.uint64)  # of known cells, sorted
+        # Hashes of known cells, sorted. Cells with equal hashes are taken for equal: among a million cells, two have
+        # equal hashes of 64 bits with a probability of 3e-8.
+        self._hashes = np.zeros(0, np.uint64)
         self._place = np.zeros((2, 0), np.int64)  # the part that holds each known cell, and its index in this part
         self._remember(Cells.root(2), root)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the *sources* of cells: the corners (or the goal) to which shortest paths from a cell may go first.
+        """Return the sources of cells.
 
         Each cell must be cached, or be half of a cached cell; it is then cached.
         """
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
-            # 1. Find the whole of each new cell: the cached cell along the first axis if there is one, else along the
-            #    second. `wholes` has the candidates of both axes.
-            wholes = [Cells(np.maximum(new.depth - step, 0), new.position >> step) for step in np.eye(2, dtype=int)]
-            axis = np.where((new.depth[:, 0] > 0) & self._knows(wholes[0]), 0, 1)
-            whole = wholes[0].append(wholes[1])[axis * len(new) + np.arange(len(new))]
-            # 2. Cut each whole once for all of its halves: sort the new cells by whole (their `parent`).
-            _, first, parent = np.unique(whole.hashes(), return_index=True, return_inverse=True)
+            # 1. Find the parent of which each new cell is a half: the cell that is twice as wide along the first axis
+            #    if it is cached, else along the second axis.
+            by_axis = [Cells(np.maximum(new.depth - step, 0), new.position >> step) for step in np.eye(2, dtype=int)]
+            axis = np.where((new.depth[:, 0] > 0) & self._knows(by_axis[0]), 0, 1)
+            parents = by_axis[0].append(by_axis[1])[axis * len(new) + np.arange(len(new))]
+            assert self._knows(parents).all(), "each new cell is half of a cached cell"
+            # 2. Cut each parent once for all of its halves: sort the new cells by parent. Halves are grown to include
+            #    the points that queries assign to them by rounding.
+            _, first, parent = np.unique(parents.hashes(), return_index=True, return_inverse=True)
             order = np.argsort(parent, kind="stable")
             is_upper = new.position[np.arange(len(new)), axis] % 2 == 1
             lo, hi = new[order].grown_boxes(self._domain)
-            halves = self._recall(whole[first]).parts(parent[order], axis[order], is_upper[order], lo, hi)
+            halves = self._recall(parents[first]).parts(parent[order], axis[order], is_upper[order], lo, hi)
             self._remember(new[order], halves)
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
-        """Return the *sources* of a tree's leaves: the corners (or the goal) to which paths from a leaf may go first.
+        """Return the sources of a tree's leaves.
 
         If some leaves are not cached, their sources are computed from the sources of the domain, level by level.
         """
@@ -91,30 +94,28 @@ class SourceCache:
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
     """Return the exact distance to the goal at each point ``x[i, j]`` of cell ``i``; ``inf`` without a path.
 
-    ``visible`` has the free space of each cell, and the corners (or the goal) to which shortest paths from the cell
-    may go first.
+    ``visible`` has the free space and the sources of each cell.
     """
-    # 1. Find all pairs of a piece of free space and a point in it; the point is ``x[cell of the piece, column]``.
-    distance = np.full(x.shape[:2], np.inf)
-    at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
+    # 1. Find all pairs of a piece of free space and a point in it, as indices of pieces and of rows of `points`.
+    num_columns, points = x.shape[1], x.reshape(-1, 2)
+    distance = np.full(len(points), np.inf)
+    at_once = max(1, _POINTS_AT_ONCE // num_columns)
     containing = [np.zeros((2, 0), int)]
     for begin in range(0, len(visible.cell), at_once):
         piece = np.arange(begin, min(begin + at_once, len(visible.cell)))
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
-        containing.append(np.stack([piece[row], column]))
-    piece, column = np.concatenate(containing, axis=1)
+        containing.append(np.stack([piece[row], num_columns * visible.cell[piece[row]] + column]))
+    piece, point = np.concatenate(containing, axis=1)
     # 2. Find each point's shortest path by way of a source that it sees. First take the sources that all of the piece
     #    sees; then test sight only where another source would be nearer.
     for batch in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
         pair, row = take_ragged(visible.first_pair, piece[batch])
-        source = visible.source[pair]
-        cell, of_cell = visible.cell[piece[batch][row]], column[batch][row]
-        point = x[cell, of_cell]
-        dx, dy = (point - visible.sources.points[source]).T
+        source, start = visible.source[pair], point[batch][row]
+        dx, dy = (points[start] - visible.sources.points[source]).T
         length = visible.sources.distances[source] + np.sqrt(dx * dx + dy * dy)
         by_all = visible.by_all[pair]
-        np.minimum.at(distance, (cell[by_all], of_cell[by_all]), length[by_all])
-        unsure = np.flatnonzero(~by_all & (length < distance[cell, of_cell]))
-        seen = unsure[visible.see(source[unsure], point[unsure])]
-        np.minimum.at(distance, (cell[seen], of_cell[seen]), length[seen])
-    return distance
+        np.minimum.at(distance, start[by_all], length[by_all])
+        unsure = np.flatnonzero(~by_all & (length < distance[start]))
+        seen = unsure[visible.see(source[unsure], points[start[unsure]])]
+        np.minimum.at(distance, start[seen], length[seen])
+    return distance.reshape(x.shape[:2])

@@ -15,7 +15,7 @@ from plr_jax.spaces._space import CellState, Configurations, MotionCost, as_boxe
 
 _BATCH = 1 << 14  # configurations or boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
-_MOST_BISECTIONS = 10  # largest number of times that a motion is halved
+_MOST_BISECTIONS = 10  # largest number of times that a motion is halved; `are_free` states 2**-10 as 1 / 1000
 _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the last place
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
@@ -77,10 +77,8 @@ class ClearanceSpace:
             raise ValueError(f"lipschitz must be at least 0 along each axis, got {lipschitz.tolist()}.")
         motion_cost = MotionCost(((range(domain.dim), 1.0),)) if motion_cost is None else motion_cost
         if not isinstance(motion_cost, MotionCost) or motion_cost.dof != domain.dim:
-            raise ValueError(
-                f"motion_cost must be a MotionCost of {domain.dim} axes, as the domain has, got "
-                f"{shortened(motion_cost)}."
-            )
+            expected = f"a MotionCost of {domain.dim} axes, as the domain has"
+            raise ValueError(f"motion_cost must be {expected}, got {shortened(motion_cost)}.")
         set_fields(self, domain=domain, clearance=clearance, lipschitz=lipschitz, motion_cost=motion_cost)
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
@@ -120,8 +118,8 @@ class ClearanceSpace:
     def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, " n"]:
         # 1. Find the part of each box in the domain. A box that leaves the domain by more than rounding is not free.
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
-        beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
-        leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
+        corner_error = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))
+        leaves = ((inner_lo - lo > corner_error) | (hi - inner_hi > corner_error)).any(axis=1)
         center, half = (inner_lo + inner_hi) / 2, (inner_hi - inner_lo) / 2
         clearance = self._clearances(center)
         # 2. Check the constants against the clearance at the middle of one face per box. The face's axis changes from
@@ -141,18 +139,18 @@ class ClearanceSpace:
         # Bisect motions. An interval of a motion, [begin, begin + width] in shares of the motion, has the clearances
         # `before` and `after` at its ends. If the clearance can change by r in it, then at its share t
         #   clearance >= max(before - t * r, after - (1 - t) * r) >= (before + after - r) / 2.
-        # Intervals are halved until this bound proves them free. A motion is not proven free if a middle has less
-        # than the least clearance, or intervals are left after the last bisection.
+        # Intervals are halved until this bound proves them free. `is_free` is False for motions that are given up: a
+        # middle has less clearance than intervals of the last bisection may need, or such intervals are not proven.
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
-        free = (before >= 0) & (after >= 0)
+        is_free = (before >= 0) & (after >= 0)
         reach = np.abs(change) @ self.lipschitz
         rounding = self._rounding(np.maximum(before, after), np.abs(q0) + np.abs(change))
         least = np.maximum(2.0**-_MOST_BISECTIONS * reach, rounding)
         motion = np.arange(len(q0))  # of each interval
         begin, width = np.zeros(len(q0)), 1.0
         for bisections in range(_MOST_BISECTIONS + 1):
-            is_unsure = free[motion] & (before + after - width * reach[motion] < 2 * rounding[motion])
+            is_unsure = is_free[motion] & (before + after - width * reach[motion] < 2 * rounding[motion])
             motion, begin = motion[is_unsure], begin[is_unsure]
             before, after = before[is_unsure], after[is_unsure]
             if not len(motion) or bisections == _MOST_BISECTIONS:
@@ -161,11 +159,11 @@ class ClearanceSpace:
             start, middle = (q0[motion] + t[:, None] * change[motion] for t in (begin, begin + width))
             between = self._clearances(middle)
             self._require_consistent(start, before, middle, between)
-            free[motion[between < least[motion]]] = False
+            is_free[motion[between < least[motion]]] = False
             motion, begin = np.tile(motion, 2), np.append(begin, begin + width)
             before, after = np.append(before, between), np.append(between, after)
-        free[motion] = False
-        return free
+        is_free[motion] = False
+        return is_free
 
     def _clipped(self, q: Configurations) -> Configurations:
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))

@@ -13,8 +13,13 @@ from plr_jax.spaces._space import MotionCost, precision_of
 
 _ROUNDING = 16.0  # error of a user's function that is allowed for, in units in the last place
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
+Numbers: TypeAlias = Float[np.ndarray, " n"]
+# *Pulls* are two vectors for each box or configuration. They are the part of a cost that depends on the direction: a
+# motion ``dq`` costs the larger of the scalar products of ``dq`` with the two vectors more than without pulls.
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
-Rates: TypeAlias = Float[np.ndarray, " n"]
+# Pulls of a box are used only if they are tight enough:
+_LEAST_RATIO = 0.25  # ``least`` (see `DirectionalCost.pulls`) must exceed this share of ``most``
+_LEAST_MARGIN = 0.02  # the cost that pulls save must be below ``least`` by more than this share of ``most``
 
 
 def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
@@ -30,11 +35,6 @@ def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray],
         raise ValueError(f"{expected}, got {values} {place}.")
 
 
-# Pulls (see `cost_bounds`) of a box are used only if they are tight enough:
-_LEAST_RATIO = 0.25  # ``least`` must exceed this share of ``most``
-_LEAST_MARGIN = 0.02  # the cost that pulls save must be below ``least`` by more than this share of ``most``
-
-
 @runtime_checkable
 class CostMap(Protocol):
     """A positive factor of the motion cost at each configuration, with bounds over boxes.
@@ -43,11 +43,11 @@ class CostMap(Protocol):
     factor is a cost per unit of length. For travel times, use the reciprocal of the speed.
     """
 
-    def __call__(self, q: ArrayLike, /) -> Rates:
+    def __call__(self, q: ArrayLike, /) -> Numbers:
         """Return the factor of the motion cost, ``(n,)``, at configurations ``(n, dof)``."""
         ...
 
-    def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
+    def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Numbers, Numbers]:
         """Return positive lower and finite upper bounds of the factor, ``(n,)``, over boxes from ``lo`` to ``hi``.
 
         Boxes may extend beyond the domain along periodic axes.
@@ -85,7 +85,7 @@ class DirectionalCost(CostMap, Protocol):
         ``pulls`` returns ``-w / s`` twice, ``1 / sqrt(s)`` and ``1 / s``, each for every box.
     """
 
-    def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
+    def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Numbers, Numbers]:
         """Bound the cost of all motions in each box, by constants for the box.
 
         A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most
@@ -126,11 +126,11 @@ class LipschitzCost:
         lipschitz, least = as_finite("lipschitz", self.lipschitz), as_finite("least", self.least, positive=True)
         set_fields(self, lipschitz=lipschitz, least=least)
 
-    def __call__(self, q: ArrayLike) -> Rates:
+    def __call__(self, q: ArrayLike) -> Numbers:
         """Return the factor of the motion cost, ``(n,)``; ``ValueError`` if it is below ``least`` or not finite."""
         return self._factors(np.asarray(q, np.float64))[0]
 
-    def _factors(self, q: Vectors) -> tuple[Rates, float]:
+    def _factors(self, q: Vectors) -> tuple[Numbers, float]:
         """Return the factors of the motion cost, and the relative rounding error of ``cost_fn``."""
         answer = self.cost_fn(q)
         factor, rounding = as_values("cost_fn", answer, len(q)), _ROUNDING * precision_of(answer)
@@ -138,11 +138,12 @@ class LipschitzCost:
         _require((factor >= (1 - rounding) * self.least) & (factor < np.inf), expected, [factor], [q])
         return np.maximum(factor, self.least), rounding
 
-    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
+    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Numbers, Numbers]:
         """Return lower and upper bounds of the factor of the motion cost over boxes, from its values at centers."""
         middle, rounding = self._factors((lo + hi) / 2)
-        # In the box, the factor differs from the factor at the center by at most lipschitz * radius, the largest
-        # distance of a point of the box from its rounded center.
+        # `cost_fn` may round configurations to the precision of its answers. It then evaluates a point that is up to
+        # rounding * |center| away from the center. In the box, the factor differs from the factor at this point by
+        # at most lipschitz * radius, where radius bounds the distance of this point from the points of the box.
         radius = np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
         reach = self.lipschitz * radius
         return np.maximum((1 - rounding) * middle - reach, self.least), (1 + rounding) * middle + reach
@@ -150,12 +151,12 @@ class LipschitzCost:
 
 def cost_bounds(
     motion_cost: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors
-) -> tuple[Rates, Rates, Pulls | None]:
+) -> tuple[Numbers, Numbers, Pulls | None]:
     """Return lower and upper bounds of the cost factor over boxes, and pulls for a ``DirectionalCost`` (else None).
 
     The boxes have corners ``lo`` and ``hi``. *Pulls* are two vectors per box, ``(2, n, dof)``. The cost of a motion
     ``dq`` in a box is a sum. The first term is its ``motion_cost`` times a factor within the bounds. The second term
-    is the larger of the scalar products of ``dq`` with the box's two pulls.
+    is the larger of the scalar products of ``dq`` with the box's two pulls, which are 0 if they are too loose.
     """
     # 1. Bounds that hold in all directions.
     bounds = cost_map.bounds(lo, hi)
@@ -166,24 +167,14 @@ def cost_bounds(
     _require((lower > 0) & (lower <= upper) & (upper < np.inf), expected, [lower, upper], [lo, hi])
     if not isinstance(cost_map, DirectionalCost):
         return lower, upper, None
-    # 2. Pulls, and bounds of the rest of the cost.
+    # 2. Pulls, and bounds of the rest of the cost. One block of weight 1 is the Euclidean length over all axes.
     if [weight for _, weight in motion_cost.blocks] != [1]:
         raise ValueError(f"A DirectionalCost needs a space whose motion_cost is a length, got {motion_cost}.")
-    pulls = cost_map.pulls(lo, hi)
-    if not isinstance(pulls, Sequence) or len(pulls) != 4:
-        expected = "two arrays of vectors and two of numbers"
-        raise ValueError(f"A DirectionalCost's pulls must be {expected}, got {shortened(pulls)}.")
-    expected = f"finite vectors of shape {lo.shape}"
-    first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
-    for vectors in (first, second):
-        if vectors.shape != lo.shape or not np.isfinite(vectors).all():
-            raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
-    least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
-    expected = "Bounds of a DirectionalCost's pulls must be finite with least nowhere above most"
-    _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
-    # 3. Use them if they are tight enough. Pulls a and b save at most this cost per unit of length: the distance of 0
-    #    from the segment between them, whose nearest point is a + t * (b - a), with t = -a . (b - a) / |b - a|**2
-    #    clipped to [0, 1].
+    first, second, least, most = _checked_pulls(cost_map, lo, hi)
+    # 3. Use pulls a and b if they are tight enough. In the direction of a unit vector d, they cost the maximum of
+    #    p . d over points p of the segment from a to b. Let p* be the segment's point nearest to 0. The maximum is at
+    #    least p* . d >= -|p*|, so the pulls save at most |p*| per unit of length. The point is p* = a + t * (b - a),
+    #    with t = -a . (b - a) / |b - a|**2 clipped to [0, 1].
     change = second - first
     square = np.sum(change * change, axis=1)
     t = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
@@ -193,7 +184,26 @@ def cost_bounds(
     return np.where(is_used, least, lower), np.where(is_used, most, upper), pulls
 
 
-def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
+def _checked_pulls(cost_map: DirectionalCost, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Numbers, Numbers]:
+    """Check the answer of ``cost_map.pulls`` over boxes, and return it as arrays."""
+    pull_bounds = cost_map.pulls(lo, hi)
+    if not isinstance(pull_bounds, Sequence) or len(pull_bounds) != 4:
+        expected = "two arrays of vectors and two of numbers"
+        raise ValueError(f"A DirectionalCost's pulls must be {expected}, got {shortened(pull_bounds)}.")
+    # 1. The two vectors of each box.
+    expected = f"finite vectors of shape {lo.shape}"
+    first, second = (as_numbers("Each of a DirectionalCost's pulls", pull, expected) for pull in pull_bounds[:2])
+    for pull in (first, second):
+        if pull.shape != lo.shape or not np.isfinite(pull).all():
+            raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(pull)}.")
+    # 2. Bounds of the rest of the cost.
+    least, most = (as_values("Each bound of a DirectionalCost's pulls", each, len(lo)) for each in pull_bounds[2:])
+    expected = "Bounds of a DirectionalCost's pulls must be finite with least nowhere above most"
+    _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
+    return first, second, least, most
+
+
+def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Numbers, Pulls | None]:
     """Return the cost factor at each configuration, ``(n,)``, and the pulls of a ``DirectionalCost`` (else None).
 
     *Pulls* are two vectors per configuration, ``(2, n, dof)``. A motion ``dq`` costs its ``motion_cost`` times the
@@ -208,7 +218,7 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
     return factors, None
 
 
-def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
+def motion_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Numbers:
     """Return the costs of straight motions from ``q`` to ``q + change``, as if the cost map were constant.
 
     The cost factor and pulls at ``q`` are used for the whole motion; see :func:`point_costs`.
@@ -217,6 +227,6 @@ def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change:
     return factors * motion_cost.norm(change) + pulled(pulls, change)
 
 
-def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
-    # Return, for each motion, the larger of its scalar products with its two pulls; 0 without pulls.
+def pulled(pulls: Pulls | None, change: Vectors) -> Numbers | float:
+    # The cost of each motion that its pulls add, which may be negative: the larger of the two scalar products.
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

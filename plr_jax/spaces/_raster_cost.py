@@ -22,7 +22,7 @@ from plr_jax._arrays import (
 )
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.spaces._costs import Rates, Vectors
+from plr_jax.spaces._costs import Numbers, Vectors
 from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
 from plr_jax.spaces._space import as_boxes
 from plr_jax.spaces._voxels import VoxelSpace
@@ -230,7 +230,7 @@ class RasterCost:
         """
         return VoxelSpace(self.free.T, self.domain, radius)
 
-    def __call__(self, q: ArrayLike) -> Rates:
+    def __call__(self, q: ArrayLike) -> Numbers:
         """Return the factor of the motion cost at configurations ``(n, dof)``, ``(n,)``.
 
         Only the leading coordinates count, one for each axis of the raster. The factor is NaN if one of the leading
@@ -246,7 +246,7 @@ class RasterCost:
             factors[part] = self._interpolated(coords)
         return factors
 
-    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
+    def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Numbers, Numbers]:
         """Return bounds of the factor of the motion cost over closed boxes, which may extend beyond the raster.
 
         With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, the
@@ -280,7 +280,7 @@ class RasterCost:
                 least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
         return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
-    def _interpolated(self, coords: Vectors) -> Rates:
+    def _interpolated(self, coords: Vectors) -> Numbers:
         # With "nearest", cell k has coordinates from k to k + 1; else they count from the center of cell 0.
         below = np.floor(coords).astype(np.intp)
         if self.interpolation == "nearest":
@@ -292,7 +292,7 @@ class RasterCost:
             total += reduce(np.multiply, weights) * self._cell_factors(below + corner)
         return total
 
-    def _cell_factors(self, cell: Int[np.ndarray, "n dim"]) -> Rates:
+    def _cell_factors(self, cell: Int[np.ndarray, "n dim"]) -> Numbers:
         modes: Any = tuple("wrap" if periodic else "clip" for periodic in self.domain.periodic)
         return self._filled_factors.take(np.ravel_multi_index(tuple(cell.T), self._filled_factors.shape, mode=modes))
 

@@ -67,14 +67,14 @@ class RigidBodySpace(BodySpace):
         other polygons. Return each part as a space of its own. If one part has no polygon, or the body might pass
         between obstacles that touch, return the space itself and None.
         """
-        parts, rest = PlaneSpace(self.workspace).separated(np.asarray(q)[:, :2])
+        plane, other_plane = PlaneSpace(self.workspace).separated(np.asarray(q)[:, :2])
         # A segment may pass lengthwise where obstacles touch. A reference point that is outside the body, by
         # rounding, does not tell in which polygon the body is.
-        if rest is None or self.robot.breadth == 0 or self.robot.inscribed_radius < 0:
+        if other_plane is None or self.robot.breadth == 0 or self.robot.inscribed_radius < 0:
             return self, None
         bounds, squeeze = self.workspace.bounds, self.workspace.squeeze
-        parts, rest = (Workspace._from_free_space(bounds, part._passable, squeeze) for part in (parts, rest))
-        return replace(self, workspace=parts), replace(self, workspace=rest)
+        part, rest = (Workspace._from_free_space(bounds, each._passable, squeeze) for each in (plane, other_plane))
+        return replace(self, workspace=part), replace(self, workspace=rest)
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
@@ -89,10 +89,12 @@ class RigidBodySpace(BodySpace):
         #    of 4 * (2 * k + 1) points.
         unsure = np.flatnonzero(~has_room)
         for part in batches(unsure, max(1, _POINTS // (8 * len(self.robot.core) + 4))):
-            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
-        # 3. Other boxes are blocked or MIXED.
+            state[part] = np.where(self._boxes_are_free(center[part], half[part]), CellState.FREE, CellState.MIXED)
+        # 3. Of the other boxes, those whose center is not free may be blocked.
         unsure = unsure[state[unsure] == CellState.MIXED]
-        state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
+        unsure = unsure[~self.is_free(center[unsure])]
+        is_blocked = self._boxes_are_blocked(center[unsure], half[unsure])
+        state[unsure] = np.where(is_blocked, CellState.BLOCKED, CellState.MIXED)
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
@@ -118,11 +120,11 @@ class RigidBodySpace(BodySpace):
         #               \ r /
         #    For n boxes and a core of k vertices, r and the 2 * k tips are copied to the 4 corners of the box of
         #    positions: points (n, 2 * k + 1, 4, 2).
-        center, half = center[narrow], half[narrow]
-        reference = center[:, None, :2]
-        ends = np.concatenate([_placed(self.robot.core, center, sign * half[:, 2]) for sign in (-1, 1)], axis=1)
-        tips = reference + (ends - reference) / np.cos(half[:, 2])[:, None, None]
-        offsets = half[:, None, :2] * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+        q, turn = center[narrow], half[narrow, 2]
+        reference = q[:, None, :2]
+        ends = np.concatenate([_placed(self.robot.core, q, sign * turn) for sign in (-1, 1)], axis=1)
+        tips = reference + (ends - reference) / np.cos(turn)[:, None, None]
+        offsets = half[narrow, None, :2] * [(1, 1), (-1, 1), (-1, -1), (1, -1)]
         points = np.concatenate([reference, tips], axis=1)[:, :, None] + offsets[:, None]
         hulls: Any = shapely.convex_hull(shapely.linestrings(points.reshape(len(points), 4 * points.shape[1], 2)))
         free[narrow] = ~near_walls(self.workspace, hulls, self.robot.rounding)
@@ -131,31 +133,28 @@ class RigidBodySpace(BodySpace):
     def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
         """Return whether each box of positions and headings is proven to hold no free configuration.
 
-        The boxes reach from ``center - half`` to ``center + half``.
+        The boxes reach from ``center - half`` to ``center + half``. Their centers are not free.
         """
-        # 1. A box is not blocked if its center is free.
-        hit = ~self.is_free(center)
-        rows = np.flatnonzero(hit)
-        center, half = center[rows], half[rows]
-        # 2. Scale a convex body about one of its points by 1 - m / depth of that point: the result lies within the
+        # 1. Scale a convex body about one of its points by 1 - m / depth of that point: the result lies within the
         #    body eroded by m. If no point of the body moves farther than m, the moved body still covers the eroded
-        #    body. The core, which the body contains, serves as the convex body here. As a configuration with an
-        #    overlap of up to the tolerance is free, the proofs ask for twice the tolerance.
+        #    body. So if the eroded body at the center of a box is not all in free space, neither is the body at any
+        #    configuration of the box. The core, which the body contains, serves as the convex body here. As a
+        #    configuration with an overlap of up to the tolerance is free, the proofs ask for twice the tolerance.
         middle, depth = self._deepest_point
         erosion = _motion_bounds(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
         is_small = erosion < depth
         scale = (1 - erosion[is_small] / depth)[:, None, None]
         eroded = _placed(middle + scale * (self.robot.core - middle), center[is_small])
-        hit[rows] = False
-        hit[rows[is_small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
-        # 3. A wall may be so near to a point of the body that the disc around the point, which moves with it, always
+        is_blocked = np.zeros(len(center), bool)
+        is_blocked[is_small] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
+        # 2. A wall may be so near to a point of the body that the disc around the point, which moves with it, always
         #    covers it.
         for point, radius in zip(*self._probes, strict=True):
-            pending = np.flatnonzero(~hit[rows])
+            pending = np.flatnonzero(~is_blocked)
             position = _placed(point[None], center[pending])[:, 0]
             spare = radius - _motion_bounds(half[pending], np.hypot(*point)) - 2 * self.workspace.tolerance
-            hit[rows[pending]] = walls_within(self.workspace, position, spare)
-        return hit
+            is_blocked[pending] = walls_within(self.workspace, position, spare)
+        return is_blocked
 
     @cached_property
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
@@ -177,6 +176,9 @@ class RigidBodySpace(BodySpace):
         The disc around the point lies in the body.
         """
         core, rounding = self.robot.core, self.robot.rounding
+        # Walls beyond the disc around the deepest point may still meet the body near its corners and sides. So there
+        # are discs around the core's vertices and the middles of its sides, with the radius of the rounding, and
+        # larger ones halfway to these points, as the core is convex.
         middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
         points = np.concatenate([middle[None], (middle + rim) / 2, rim])

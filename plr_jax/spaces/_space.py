@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from plr_jax._arrays import as_booleans, as_finite, as_points, shortened
+from plr_jax._arrays import as_booleans, as_finite, as_points, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 
@@ -41,22 +41,23 @@ class MotionCost:
     blocks: tuple[tuple[tuple[int, ...], float], ...]
 
     def __init__(self, blocks: Any):
-        # 1. Read the pairs of axes and a weight. Any other value becomes a pair that fails the next test.
+        # 1. Read the pairs of axes and a weight.
+        expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
+        no_pairs = ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
         try:
             pairs = [(tuple(axes), weight) for axes, weight in blocks]
         except (TypeError, ValueError):
-            pairs = [((), None)]
+            raise no_pairs from None
         listed = [axis for axes, _ in pairs for axis in axes]
         are_integers = all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in listed)
         if not are_integers or not all(axes for axes, _ in pairs):
-            expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
-            raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
+            raise no_pairs
         # 2. Check that each axis occurs once, and that weights are positive.
         if not listed or sorted(listed) != list(range(len(listed))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
         weight_of = partial(as_finite, "The weight of a block", positive=True)
         checked = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
-        object.__setattr__(self, "blocks", checked)
+        set_fields(self, blocks=checked)
 
     @property
     def dof(self) -> int:
@@ -202,12 +203,15 @@ def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, " n"]:
 
 
 def precision_of(numbers: ArrayLike) -> float:
-    """Return the relative precision of an array's type: 2**-23 for 4-byte numbers, 2**-7 for 2-byte, else 2**-52."""
+    """Return the relative precision of an array's type: 2**-23 for 4-byte numbers, 2**-7 for 2-byte, else 2**-52.
+
+    Of the 2-byte types, bfloat16 is the least precise.
+    """
     return {2: 2.0**-7, 4: 2.0**-23}.get(np.asarray(numbers).dtype.itemsize, 2.0**-52)
 
 
 @dataclass(frozen=True, eq=False)
-class CheckedSpace:
+class CheckedFreeTest:
     """A base class of spaces that wrap a :class:`FreeTest`; it checks the answers of the wrapped ``is_free``."""
 
     space: FreeTest
@@ -227,10 +231,8 @@ class CheckedSpace:
 def require_space(space: object) -> None:
     """Raise ``ValueError`` unless ``space`` is at least a :class:`FreeTest` whose motion cost fits its domain."""
     if isinstance(space, type) or not isinstance(space, FreeTest):
-        raise ValueError(
-            "space must be a configuration space with a domain, a motion_cost and is_free, such as "
-            f"PlaneSpace(workspace), got {shortened(space)}."
-        )
+        expected = "a configuration space with a domain, a motion_cost and is_free, such as PlaneSpace(workspace)"
+        raise ValueError(f"space must be {expected}, got {shortened(space)}.")
     domain, cost = space.domain, space.motion_cost
     if not isinstance(domain, Box):
         raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")

@@ -141,11 +141,12 @@ def test_points_without_near_vertices_search_farther():
     found, path = oracle(x), oracle.shortest_path(x[0])
     assert np.linalg.norm(x[0] - oracle.goal) <= found[0] < 1.0 and np.isinf(found[1])
     assert length(path) == pytest.approx(found[0]) and oracle.shortest_path(x[1]).shape == (0, 2)
+    # A hallway with two vertices; none is within the radius of the point.
+    assert roadmap(NOTHING, (0, 0.5), 1, Box((0, 0), (100, 1)))([(30, 0.5)]) == 30
 
 
 def test_samples_depend_on_the_seed_only():
-    sizes_and_seeds = (50, 1), (50, 1), (50, 2), (300, 1)
-    first, again, other, more = (roadmap(GAP, num_samples=n, seed=seed) for n, seed in sizes_and_seeds)
+    first, again, other, more = (roadmap(GAP, num_samples=n, seed=k) for n, k in ((50, 1), (50, 1), (50, 2), (99, 1)))
     np.testing.assert_array_equal(first.graph.vertices, again.graph.vertices)
     assert not np.array_equal(first.graph.vertices, other.graph.vertices)
     np.testing.assert_array_equal(more.graph.vertices[:51], first.graph.vertices)
@@ -198,8 +199,7 @@ def test_each_motion_depends_on_its_own_samples_only():
 
 def test_radius_equals_prm_star_formula():
     assert prm_star_radius(1000, 2, 0.5) == pytest.approx(2 * np.sqrt(1.5 * 0.5 / np.pi * np.log(1000) / 1000))
-    expected = 2 * np.cbrt(4 / 3 * 2.0 / (4 / 3 * np.pi) * np.log(500) / 500)
-    assert prm_star_radius(500, 3, 2.0) == pytest.approx(expected)
+    assert prm_star_radius(500, 3, 2.0) == pytest.approx(2 * np.cbrt(2.0 / np.pi * np.log(500) / 500))
     assert roadmap(NOTHING, num_samples=299).radius == pytest.approx(prm_star_radius(300, 2, 1.0))
     assert roadmap(CUT, num_samples=999).radius == pytest.approx(prm_star_radius(1000, 2, 0.9), rel=0.03)
 

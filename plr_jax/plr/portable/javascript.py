@@ -42,17 +42,22 @@ class JavaScriptEmitter(Emitter):
         return self.atom(f"Math.floor({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
+        # The 23 mantissa bits of a float in [1, 2), as the highest bits of a word; the shift drops the leading one.
+        return self.atom(f"({x} * {1 << 23} << 9)", "uint32_t")
 
 
 class _ConesFromTables(Program):
-    """The query of a PLR file of cones that JavaScript reads at run time.
+    """The query of any PLR file of cones in the plane, for JavaScript that reads the file at run time.
 
-    In place of the file's constants, the generated code has variables such as ``scale0``.
+    In place of the file's constants, the generated code has variables such as ``scale0``. A test of a variable in
+    Python, such as ``start < 1``, always holds, so the code has the steps that only some files need.
+
+    All other attributes describe a placeholder, a file of two leaves. Of these, use only what all such files share:
+    the leaf model, the dimension, that no axis is periodic, and how nodes of the tree are coded.
     """
 
     def __init__(self) -> None:
-        # 1. A placeholder: two leaves, which are halves of the unit square.
+        # 1. The placeholder: the leaves are the halves of the unit square.
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
         goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
         stored = ConeFiles(goal, domain).stored(np.zeros(2, int))
@@ -89,7 +94,7 @@ def js_cone_reader() -> str:
     lines = [
         f"const {names};",
         "const { tree, root, numbers } = tables, [origin0, origin1] = tables.origin, place = new Uint32Array(2);",
-        *(line.removeprefix("export ") for line in _functions(program, tree, width, True)),
+        *(line.removeprefix("export ") for line in _functions(program, tree, width, is_proven=True)),
         "return { distance, waypoint, bounds };",
     ]
     return "\n".join(js_function("function coneReader(tables)", lines))
@@ -113,14 +118,15 @@ def js_module(program: Program) -> str:
         "//",
         f"// distance({names}): distance to the goal from a point of the domain {format_domain(program.domain)};",
         "// Infinity outside the closed domain, NaN for NaN. It does not test for obstacles.",
-        *([waypoint] * isinstance(leaf, Cone)),
-        *([bounds] * (certificate is not None)),
+        *_lines_if(isinstance(leaf, Cone), waypoint),
+        *_lines_if(certificate is not None, bounds),
         "// Results equal those of plr.numpy() for 64-bit points, bit for bit.",
         "",
     ]
     # 2. Tables: the tree and the leaf parameters.
-    lines += [FROUND, *([NEXT_FLOAT] * (certificate is not None))]
+    lines += [FROUND, *_lines_if(certificate is not None, NEXT_FLOAT)]
     if len(tree.children):
+        counters = f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"
         lines += [
             f"// Children of every split node, the lower one first, as {1 << tree.kind_bits} * row + kind. Of a",
             f"// split child: its row in this table, its axis. Of a leaf: its row in numbers, {dim}.",
@@ -129,7 +135,7 @@ def js_module(program: Program) -> str:
             "]);",
             f"const root = {tree.root};",
             f"const place = new Uint32Array({dim});",
-            *([f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * leaf.is_cell_relative),
+            *_lines_if(leaf.is_cell_relative, counters),
         ]
     lines += [
         f"const numbers = new Float32Array([ // {rows.shape[1]} each",
@@ -145,19 +151,19 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
     These are ``distance``, for cones ``waypoint``, and if ``is_proven``, ``bounds``. The code reads ``width`` numbers
     for each leaf from an array ``numbers``. If ``is_proven``, the last two are lower and upper bounds of distance
-    minus PLR value.
+    minus PLR value. The variables that the code reads are declared by :func:`js_module` and :func:`js_cone_reader`.
     """
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
-        row, counts = "0", ["1", "0"] * dim
+        row, cell = "0", ["1", "0"] * dim  # for each axis: number of cells along the domain, index of the leaf's cell
         if has_tree:
             do.statements += [f"place[{axis}] = {place};" for axis, place in enumerate(fractions)]
             row = "leaf()" if width == 1 else f"{width} * leaf()"
-            counts = [text for axis in range(dim) for text in (f"count[{axis}]", f"f(cell[{axis}])")]
+            cell = [text for axis in range(dim) for text in (f"count[{axis}]", f"f(cell[{axis}])")]
         do.statements.append(f"const n = {row};")
-        numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
-        return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
+        numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 if is_proven else width)]
+        return [do.atom(text) for text in (cell + numbers if program.leaf.is_cell_relative else numbers)]
 
     def value(if_nan: str, if_outside: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
         # Return an emitter with the code that computes the value, the expression of the value, and the expressions of
@@ -196,19 +202,19 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
 
     The function reads the point's position from the array ``place``. If ``of_cells``, it also finds the leaf's cell.
     Then, for each axis, ``count`` is the number of such cells along the domain, and ``cell`` the index of the leaf's
-    cell.
+    cell. :func:`js_module` and :func:`js_cone_reader` declare these variables, ``tree`` and ``root``.
     """
-    # `place` has the next bit of the position along each axis as its highest bit. For `of_cells`, `count` is the
-    # number of cells like the current one along each axis of the domain, `cell` its index among these.
+    # At each node, `place` has the next bit of the position along each axis as its highest bit. For `of_cells`,
+    # `count` and `cell` are about cells like the node's.
     mask = (1 << tree.kind_bits) - 1
     bits = _TABLE_BITS // tree.dim  # of a grid cell's index along an axis
     statements = [
-        *(["count.fill(1);", "cell.fill(0);"] * of_cells),
+        *_lines_if(of_cells, "count.fill(1);", "cell.fill(0);"),
         "let code = root;",
         f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
         "    const upper = place[axis] >>> 31;",
         "    place[axis] <<= 1;",
-        *(["    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"] * of_cells),
+        *_lines_if(of_cells, "    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"),
         f"    code = tree[2 * (code >>> {tree.kind_bits}) + upper];",
         "}",
         f"return code >>> {tree.kind_bits};",
@@ -216,9 +222,9 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     comment = "// Descends the tree: each split takes the next bit of the position along its axis."
     if of_cells or not bits:
         return [comment, *js_function("function leaf()", statements)]
+    shifts = [bits * (tree.dim - 1 - axis) for axis in range(tree.dim)]  # of each axis in the index of a grid cell
     index = " | ".join(
-        f"place[{axis}] >>> {32 - bits}" + (f" << {above}" if (above := bits * (tree.dim - 1 - axis)) else "")
-        for axis in range(tree.dim)
+        f"place[{axis}] >>> {32 - bits}" + (f" << {shift}" if shift else "") for axis, shift in enumerate(shifts)
     )
     return [
         comment,
@@ -228,8 +234,8 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
         f"const grid = new Uint32Array({1 << bits * tree.dim});",
         "for (let index = 0; index < grid.length; index++) {",
         *(
-            f"    place[{axis}] = (index >>> {bits * (tree.dim - 1 - axis)}) << {32 - bits} | {1 << 31 - bits};"
-            for axis in range(tree.dim)
+            f"    place[{axis}] = (index >>> {shift}) << {32 - bits} | {1 << 31 - bits};"
+            for axis, shift in enumerate(shifts)
         ),
         "    const row = descend();",
         "    grid[index] = place.every(left => left !== 0) ? row + 1 : 0;",
@@ -251,3 +257,7 @@ def _decimal(number: Any) -> str:
 
 def js_function(signature: str, statements: list[str]) -> list[str]:
     return [f"{signature} {{", *indent(statements), "}", ""]
+
+
+def _lines_if(condition: bool, *lines: str) -> list[str]:
+    return list(lines) if condition else []
