@@ -28,18 +28,17 @@ class SourceCache:
         self._remember(Cells.root(2), root)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells.
-
-        Each cell must be cached, or be half of a cached cell; it is then cached.
-        """
+        """Return the sources of cells, which are then cached, and so are cells that contain them."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # 1. Find the parent of which each new cell is a half: the cell that is twice as wide along the first axis
-            #    if it is cached, else along the second axis.
+            #    if it is cached, else along the second axis. A parent that is not cached comes from its own parent.
             by_axis = [Cells(np.maximum(new.depth - step, 0), new.position >> step) for step in np.eye(2, dtype=int)]
-            axis = np.where((new.depth[:, 0] > 0) & self._knows(by_axis[0]), 0, 1)
+            along_first = (new.depth[:, 0] > 0) & self._knows(by_axis[0])
+            axis = np.where(along_first | (new.depth[:, 1] == 0), 0, 1)
             parents = by_axis[0].append(by_axis[1])[axis * len(new) + np.arange(len(new))]
-            assert self._knows(parents).all(), "each new cell is half of a cached cell"
+            if len(unknown := np.flatnonzero(~self._knows(parents))):
+                self.sources(parents[unknown])
             # 2. Cut each parent once for all of its halves: sort the new cells by parent. Halves are grown to include
             #    the points that queries assign to them by rounding.
             _, first, parent = np.unique(parents.hashes(), return_index=True, return_inverse=True)

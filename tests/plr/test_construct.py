@@ -91,6 +91,12 @@ def test_margin_samples_beyond_the_cell():
     assert np.concatenate(seen).min() < -0.4 and np.concatenate(seen).max() > 1.4
 
 
+def test_a_wide_margin_finds_planes_for_cells_without_samples():
+    # Cells whose samples lie beyond them are not cached, nor are the cells that contain them.
+    plr = construct(ORACLE, MAZE.workspace.bounds, max_leaves=64, options=BuildOptions(margin=0.3))
+    assert errors_in_free_space(plr, ORACLE, MAZE.workspace).mean() < 0.05
+
+
 def test_weights_reduce_errors_whatever_their_scale():
     left, even, scaled = (
         construct(walled, UNIT, max_leaves=60, options=BuildOptions(weight_fn=weight_fn))
