@@ -51,11 +51,6 @@ class Boundary(PickledWithoutCaches):
     # counterclockwise to the edge that arrives from vertex ``sector_end[e]``.
     sector_end: Int[np.ndarray, " edges"]
 
-    @property
-    def index_type(self) -> np.dtype[Any]:
-        """The smallest integer type that holds the indices of edges and vertices, and -1."""
-        return np.min_scalar_type(-len(self.edges))  # no boundary has more vertices than edges
-
     @cached_property
     def segments(self) -> Float[np.ndarray, "edges 2 2"]:
         return self.vertices[self.edges]

@@ -259,7 +259,7 @@ def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: C
     # 2. Copy the intervals. Keys begin with the index of the viewpoint; edges and vertices before the change (-1:
     #    none) are numbered as after it.
     key = np.empty(first[-1])
-    edge, vertex = np.empty((2, first[-1]), change.new.index_type)
+    edge, vertex = np.empty((2, first[-1]), np.min_scalar_type(-len(change.new.edges)))
     for table, views, place in parts:
         target, _ = take_ragged(first, place)
         row, run = take_ragged(table.first, views)
