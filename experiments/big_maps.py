@@ -3,7 +3,8 @@
 Fields of small obstacles (octagons, one a cell) and voids (few, star-shaped, of many walls) are synthetic; den520d is
 a published map, measured as it is and after its obstacles are grown by 0.4. Preparing begins with the workspace, so
 triangles, visibility polygons, the graph and the distances of its vertices are in it; the first query adds what is
-found once for a goal. Seconds are those of the processor, medians of several runs, each on a workspace of its own.
+found once for a goal. Bytes are those of the oracle's pickle, with its workspace. Seconds are those of the processor,
+medians of several runs, each on a workspace of its own.
 """
 
 import pickle

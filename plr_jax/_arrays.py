@@ -10,6 +10,7 @@ import reprlib
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -325,6 +326,14 @@ def set_fields(value: object, **fields: object) -> None:
     """Set attributes of an object of a frozen dataclass."""
     for name, content in fields.items():
         object.__setattr__(value, name, content)
+
+
+@dataclass(frozen=True, eq=False)
+class PickledWithoutCaches:
+    """A base class of dataclasses whose pickles hold only the fields, and no cached properties."""
+
+    def __getstate__(self) -> dict[str, object]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 _MUTATORS = ("with_", "add", "insert", "move", "remove", "replace", "set_", "update")

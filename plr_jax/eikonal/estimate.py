@@ -347,13 +347,13 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     corners = np.array(list(product((-1, 1), repeat=len(shape))))
     q = box.at((wall[:, None] + 0.5 + _CLEAR * corners) / shape)
     is_free = space.is_free(q.reshape(-1, len(shape))).reshape(q.shape[:2])
+    near = is_free.any(axis=1)
+    wall, q, is_free = wall[near], q[near], is_free[near]
     joined = np.repeat(np.eye(len(corners), dtype=bool)[None], len(wall), axis=0)
-    for i, j in np.argwhere(np.abs(corners[:, None] - corners).sum(axis=2) == 2):
-        joined[:, i, j] = space.are_free(q[:, i], q[:, j])
-    for _ in range(len(shape)):  # each product doubles the length of paths along sides of the box
-        joined = joined @ joined
-    is_whole = (joined | ~is_free[:, :, None] | ~is_free[:, None]).all(axis=(1, 2))
-    is_open[tuple(wall.T)] = is_whole & is_free.any(axis=1)
+    for i, j in np.argwhere(np.triu(np.abs(corners[:, None] - corners).sum(axis=2) == 2)):
+        joined[:, i, j] = joined[:, j, i] = space.are_free(q[:, i], q[:, j])
+    joined = np.linalg.matrix_power(joined, 2 ** len(shape))  # by paths along that many sides of the box
+    is_open[tuple(wall.T)] = (joined | ~is_free[:, :, None] | ~is_free[:, None]).all(axis=(1, 2))
     return state, is_open, is_clear
 
 

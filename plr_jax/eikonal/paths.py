@@ -9,7 +9,6 @@ planning on grids", 2007.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -46,11 +45,7 @@ class NodePaths:
     points: Float[np.ndarray, "nodes dim"]  # the nodes as fractions of the domain, then the goals
     cost: Costs  # of each node's path, rounded up; inf if none was found
     next: Nodes  # the second node of each path; for a goal, itself; without a path, the first goal
-
-    @cached_property
-    def ends(self) -> Nodes:
-        """The index in ``points`` of the goal at the end of each node's path; the first goal if there is no path."""
-        return path_ends(self.next)
+    ends: Nodes  # the goal at the end of each path; without a path, the first goal
 
     def which(self, mesh: Mesh, costs: CellCosts, x: Points) -> Nodes:
         """Return the index of the goal to which the path from each point leads, over a corner of the point's cell."""
@@ -101,7 +96,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
         is_reached = np.isfinite(cost)
         if np.sum(before[is_reached] - cost[is_reached]) <= _ENOUGH * np.sum(cost[is_reached]):
             break
-    return NodePaths(graph.points, (1 + _ROUNDING) * cost, next_)
+    return NodePaths(graph.points, (1 + _ROUNDING) * cost, next_, path_ends(next_))
 
 
 def _path_costs(next_: Nodes, leg: Costs) -> Costs:

@@ -276,16 +276,18 @@ def _field(
     # 2. The upper bound, by paths through cells that are proven free.
     program, mesh, domain = solver.program, solver.mesh, space.domain
     paths = shortest_paths(mesh, program.costs, goals, space)
-    # 3. The estimate at nodes: from a grid or, beyond three axes, by paths through cells that are probably free.
-    guide = None
+    # 3. Estimates at nodes: up to three axes from a grid, from three axes on by paths through cells that are probably
+    #    free. With three axes there are both, mostly too high, so the lower one counts.
+    guide, estimates = None, []
     if mesh.dim <= MOST_AXES:
         guide = grid_estimate(reached, cost_map, domain.at(goals))
-        nodal_estimate, which = guide(domain.at(mesh.nodes)), guide.which
-    else:
+        estimates.append((guide(domain.at(mesh.nodes)), guide.which))
+    if mesh.dim >= MOST_AXES:
         likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
-        nodal_estimate, which = likely.cost[: len(mesh.nodes)], partial(likely.which, mesh, program.costs)
+        estimates.append((likely.cost[: len(mesh.nodes)], partial(likely.which, mesh, program.costs)))
     if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
         reach = guide.reach(domain)
+    nodal_estimate, which = np.min([costs for costs, _ in estimates], axis=0), estimates[0][1]
     return CostToGoField(program, solver.values, paths, nodal_estimate, space, reach, guide), which
 
 

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from plr_jax._arrays import as_numbers, index_of, shortened
+from plr_jax._arrays import PickledWithoutCaches, as_numbers, index_of, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientation, pseudo_angle, turn_between
@@ -39,7 +39,7 @@ EdgeRows: TypeAlias = Int[np.ndarray, " some_edges"]
 
 
 @dataclass(frozen=True, eq=False)
-class Boundary:
+class Boundary(PickledWithoutCaches):
     """The boundary of a polygonal region: vertices, and edges with the region on their left.
 
     An edge is the pair of indices of the vertices where it starts and ends.

@@ -185,7 +185,7 @@ def changed_visibility(
     # 6. Sort the edges, as if all had been computed again.
     size = np.int64(max(1, len(corners.points)))
     keys = np.sort(edges.min(axis=1) * size + edges.max(axis=1))
-    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new_view
+    return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1).astype(np.int32)), new_view
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
@@ -259,7 +259,7 @@ def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: C
     # 2. Copy the intervals. Keys begin with the index of the viewpoint; edges and vertices before the change (-1:
     #    none) are numbered as after it.
     key = np.empty(first[-1])
-    edge, vertex = np.empty((2, first[-1]), parts[-1][0].edge.dtype)
+    edge, vertex = np.empty((2, first[-1]), np.min_scalar_type(-len(change.new.edges)))
     for table, views, place in parts:
         target, _ = take_ragged(first, place)
         row, run = take_ragged(table.first, views)

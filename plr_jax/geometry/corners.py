@@ -111,7 +111,7 @@ def mutually_visible_pairs(
     number = np.minimum(view, seen) * size + np.maximum(view, seen)
     pair = _sorted_unique(2 * number + (view < seen)) >> 1
     mutual = pair[1:][pair[1:] == pair[:-1]]
-    return np.stack(np.divmod(mutual, size), axis=1)
+    return np.stack(np.divmod(mutual, size), axis=1).astype(np.int32)
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, " vertices"]:

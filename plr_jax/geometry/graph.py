@@ -37,7 +37,7 @@ class Graph:
         start, end = (self.vertices[ends] for ends in self.edges.T)
         return np.linalg.norm(end - start, axis=1) if self.measure is None else self.measure(start, end)
 
-    @cached_property
+    @property
     def adjacency(self) -> csr_array:
         """The graph as a symmetric sparse matrix of edge lengths; a stored entry 0 is an edge of length 0."""
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import index_of, take_ragged
+from plr_jax._arrays import PickledWithoutCaches, index_of, take_ragged
 from plr_jax.geometry.boundary import Boundary, Edges, grid_at
 from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
@@ -81,7 +81,7 @@ class LocatedPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Triangulation:
+class Triangulation(PickledWithoutCaches):
     """A triangulation of a region: half-edges ``3 t`` to ``3 t + 2`` bound triangle ``t``, counterclockwise."""
 
     boundary: Boundary

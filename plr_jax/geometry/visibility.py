@@ -357,8 +357,9 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
     cut = _choose_cuts(boundary, views, cones)
     view = np.concatenate([cones.view, views.owner])
     directions = np.concatenate([cones.right, views.closes(boundary).T], axis=1)
-    edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1, np.int32))
-    vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
+    index_type = np.min_scalar_type(-len(boundary.edges))  # holds -1 and all indices: there are no more vertices
+    edge = np.append(triangulation.wall[cones.half_edge], np.full(len(views.owner), -1)).astype(index_type)
+    vertex = np.append(cones.vertex, views.closing(boundary)).astype(index_type)
     key = _keys(view, cut, directions)
     order = _exact_order(view, key, directions, len(index))
     view, key, edge, vertex = view[order], np.sort(key), edge[order], vertex[order]

@@ -15,9 +15,9 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csgraph
+from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import parts, take_ragged
+from plr_jax._arrays import PickledWithoutCaches, parts, take_ragged
 from plr_jax._types import Distances
 from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
 from plr_jax.geometry.graph import Graph
@@ -60,14 +60,11 @@ class _CornerLists:
 
 
 @dataclass(frozen=True, eq=False)
-class PairDistances:
+class PairDistances(PickledWithoutCaches):
     """Exact distances between any two points of a workspace, and caches that the oracles of all goals share."""
 
     workspace: Workspace
     visibility: CornerVisibility
-
-    def __reduce__(self):  # pickle without the cached properties
-        return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
     def locator(self) -> PointLocator:
@@ -78,11 +75,14 @@ class PairDistances:
         return CornerSight(self.visibility)
 
     @cached_property
-    def _graph(self) -> Graph:
-        """The graph of corners. An edge joins two corners that see each other if a shortest path can turn at both."""
+    def _adjacency(self) -> csr_array:
+        """The edge lengths of the graph of corners, as a sparse matrix.
+
+        An edge joins two corners that see each other if a shortest path can turn at both.
+        """
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
-        return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
+        return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)]).adjacency
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, " corners"]]:
         """Return, for each of the given corner indices, an array of path lengths from this corner to all corners."""
@@ -92,12 +92,12 @@ class PairDistances:
             if len(rows) + len(missing) > self._at_once:
                 rows, missing = {}, corners  # other threads may read the old rows
                 self.__dict__["_rows"] = rows
-            rows.update(zip(missing, csgraph.dijkstra(self._graph.adjacency, indices=missing), strict=True))
+            rows.update(zip(missing, csgraph.dijkstra(self._adjacency, indices=missing), strict=True))
         return [rows[corner] for corner in corners]
 
     @property
     def _at_once(self) -> int:
-        return max(1, _DISTANCES // max(1, len(self._graph.vertices)))
+        return max(1, _DISTANCES // max(1, len(self.visibility.corners.points)))
 
     @cached_property
     def _lists_of_triangles(self) -> tuple[Int[np.ndarray, " runs_plus_one"], Int[np.ndarray, " entries"]]:
@@ -208,7 +208,7 @@ class PairDistances:
     def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
         """Path lengths between all corners and a few *landmarks*: corners that are far from one another."""
         # Farthest-point sampling: the next landmark is the corner that is farthest from the nearest landmark so far.
-        num_corners = len(self._graph.vertices)
+        num_corners = len(self.visibility.corners.points)
         to_nearest, rows = np.full(num_corners, np.inf), []
         for _ in range(min(num_corners, _LANDMARKS)):
             rows += self._corner_distances([int(to_nearest.argmax())])

@@ -6,14 +6,14 @@ the goal, vertex 0, and then the corners, so that corner ``i`` is vertex ``1 + i
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, as_numbers, as_point, as_points, set_fields
+from plr_jax._arrays import PickledWithoutCaches, as_finite_point, as_numbers, as_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Reach, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
@@ -35,7 +35,7 @@ from plr_jax.oracles._pair_distances import PairDistances
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class VisibilityGraph:
+class VisibilityGraph(PickledWithoutCaches):
     """Exact length of the shortest path to a goal for a point among polygonal obstacles in the plane.
 
         oracle = plr_jax.VisibilityGraph(workspace, goal)
@@ -124,9 +124,6 @@ class VisibilityGraph:
         corners, goal_view = changed_visibility(self.family, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
-    def __getstate__(self) -> dict[str, Any]:  # pickle without cached properties
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
     def __repr__(self) -> str:
         num_corners = len(self.graph.vertices) - 1
         return f"VisibilityGraph(goal={self.goal.tolist()}, {num_corners:,} corners, {len(self.graph.edges):,} edges)"
@@ -137,7 +134,7 @@ class VisibilityGraph:
 
         Edges join two vertices that see each other if a shortest path can turn at one of them.
         """
-        edges = np.concatenate([self._goal_edges, 1 + self.family.edges])
+        edges = np.concatenate([self._goal_edges, 1 + self.family.edges], dtype=np.int32)
         return Graph(np.concatenate([self.goal[None], self.family.corners.points]), edges)
 
     @cached_property

@@ -26,7 +26,7 @@ def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
     keep = np.append(np.unique(mesh.corners[mesh.state == 1]), len(mesh.nodes))
     place = np.full(len(mesh.nodes) + 1, len(keep) - 1)
     place[keep] = np.arange(len(keep))
-    paths = NodePaths(paths.points[keep], paths.cost[keep], place[paths.next[keep]])
+    paths = NodePaths(paths.points[keep], paths.cost[keep], place[paths.next[keep]], place[paths.ends[keep]])
     return paths, space.domain.lo + paths.points * space.domain.width
 
 
