@@ -254,7 +254,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     domain = workspace.bounds
-    limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame_size(domain))
+    limits = check_limits(leaf_model("cone"), 2, Proof.NONE, frame_size(domain), max_bytes=max_bytes)
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
     # Indices:
