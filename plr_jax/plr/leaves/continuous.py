@@ -23,8 +23,8 @@ from plr_jax.plr.finite_elements import (
     MAX_DIM_OF_ORDER,
     POWERS,
     NodalSpace,
+    basis_values,
     coefficient_matrix,
-    design,
     enclosing_planes,
     monomials,
     nodal_space,
@@ -370,7 +370,7 @@ def fit_values(
     #   (C^T (B^T W B) C + lambda D^T D) x = C^T B^T W d.
     # B is the same in all leaves: B^T W B has a block (terms, terms) for each leaf, on the diagonal.
     coefficients = coefficient_matrix(order, space)  # C
-    functions = design(order, (fit.pattern.u + 1) / 2)  # B in a leaf, (k, terms)
+    functions = basis_values(order, (fit.pattern.u + 1) / 2)  # B in a leaf, (k, terms)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
     offsets = np.arange(leaves + 1)  # one block in each block row
@@ -457,7 +457,7 @@ class Continuous(LinearLeafModel):
         return coefficients
 
     def basis(self, u: Points) -> Coefficients:
-        return design(self.order, (u + 1) / 2)
+        return basis_values(self.order, (u + 1) / 2)
 
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         return plane_coefficients(self.order, center, half)
