@@ -74,7 +74,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
     num_other_bytes = frame_size(estimate.mesh.domain) + (0 if straight is None else straight.num_bytes)
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
-    limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, num_other_bytes)
+    limits = check_limits(model, domain.dim, proof, num_other_bytes, max_bytes=max_bytes)
 
     # 2. Fit leaves to the estimate on the grid. Where there is none, use the estimate on the mesh.
     def distances(x: Points) -> Numbers:

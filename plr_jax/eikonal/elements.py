@@ -160,10 +160,8 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     num_groups, group = connected_components(tied, directed=False)
     of_hanging, first = np.unique(group[hanging], return_index=True)
     entries = np.repeat(of_hanging, size), group[_nodes_of_cells(on_cell[first], size)]
-    is_free = np.ones(num_groups)
-    is_free[of_hanging] = 0
     sums = csr_array((basis(degree, at[first]).ravel(), entries), (num_groups, num_groups))
-    resolved = resolve_constraints(sums, is_free)
+    resolved = resolve_constraints(sums, of_hanging)
     # 3. A node may hang on two cells, and a corner of a face may be a node of neither cell. The polynomials of both
     #    cells must agree there, a linear equation between values of free groups. Each equation is solved for a group
     #    with a node in the smallest cell (the deepest one), which is then no longer free.

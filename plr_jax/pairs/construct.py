@@ -34,6 +34,7 @@ from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
 PointIndices = Int[np.ndarray, "points"]  # a number for each point of an outline
+_Indices = Int[np.ndarray, " _"]
 # Finest lattice step at all, in domain widths. Rounded down to a power of two, it is more than 2**-38 widths, so
 # coordinates are at most 2**38 steps: files hold coordinates of up to 39 bits.
 _FINEST_EVER = 2.0**-37
@@ -50,7 +51,8 @@ def outline_of(
     """
     vertices, edges = boundary.vertices, boundary.edges
     # 1. Follow the rings. Where obstacles touch, several edges leave a vertex b. After an edge from a to b comes the
-    #    edge that leaves b and whose sector of free space, which lies between both, ends at a.
+    #    edge that leaves b and whose sector of free space, which lies between both, ends at a. (`sector_end[e]` is
+    #    the vertex from which the edge arrives that ends the sector of edge e.)
     sectors = zip(edges[:, 0].tolist(), boundary.sector_end.tolist(), strict=True)
     leaving = {sector: edge for edge, sector in enumerate(sectors)}
     order, first = _rings_of(np.array([leaving[b, a] for a, b in edges.tolist()]))
@@ -94,7 +96,8 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
     an open contact. Paths pass a closed contact from one corner to another: :func:`corners_in_outline` makes one
     corner for each sector of free space beside the contact.
     """
-    # Whether the wall that leaves each point, or the one that arrives at it, belongs to a thin obstacle.
+    # Whether the wall that leaves each point, or the one that arrives at it, belongs to a thin obstacle. A wall
+    # arrives from the previous point: `argsort` inverts the permutation `following`.
     is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
     if (outline.is_contact & is_beside_thin).any():
         return outline, vertex
@@ -111,8 +114,7 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
     least ``FINEST`` times ``width``, the width of the domain, is fine enough, return a finer power of two. Then
     nothing is guaranteed.
     """
-    exponents = np.arange(-60, 60)
-    steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
+    steps = np.concatenate([2.0 ** np.arange(-60, 60), 10.0 ** np.arange(-20, 20)])
     for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
         rounded = np.rint(points / step)
         moved = np.abs(points - step * rounded).max(initial=0.0)
@@ -182,17 +184,18 @@ def grow_lists(
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     stop_at = _IN_VAIN * areas(root.pieces).sum()
 
-    def halved(tree: _ListTree) -> _ListTree | None:
+    def next_round(tree: _ListTree) -> _ListTree | None:
         # All nodes that have been halved have keys above 0, so `leaves_above(0.0)` are the leaves of the whole tree.
         leaves = np.flatnonzero(tree.is_leaf)
         key = tree.key[leaves]
         if key.sum() <= stop_at or len(tree) >= most_leaves or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
             return None
-        return _halved(tree, leaves[key > _LEAST_RELATIVE_KEY * key.max()], domain, limits)
+        return _with_halves(tree, leaves[key > _LEAST_RELATIVE_KEY * key.max()], domain, limits)
 
-    tree = grow(tree, halved, limits)
+    tree = grow(tree, next_round, limits)
 
-    # 2. Find the least threshold of keys whose leaves fit, by bisection. If no other threshold does, take the largest
+    # 2. Find the least threshold of keys whose leaves fit, by bisection. A higher threshold gives fewer leaves, so
+    #    the values of `fits` are False, ..., False, True, ..., True. If no other threshold fits, take the largest
     #    key, above which no node is halved.
     def fits(key: float) -> bool:
         leaves = tree.leaves_above(key)
@@ -202,7 +205,7 @@ def grow_lists(
     return tree.leaves_above(keys[bisect_left(keys[:-1], True, key=fits)])
 
 
-def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
+def _with_halves(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
     """Halve the cells of the leaves with the indices ``nodes`` along their longest axis; list the halves' corners."""
     # The halves of all nodes are appended to the tree: lower, upper, lower, upper, ...
     cells = tree.lists.cells[nodes]
@@ -254,7 +257,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     domain = workspace.bounds
-    limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame_size(domain))
+    limits = check_limits(leaf_model("cone"), 2, Proof.NONE, frame_size(domain), max_bytes=max_bytes)
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
     # Indices:
@@ -279,23 +282,10 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         )
     order = np.argsort(corner_of, kind="stable")
     first = np.searchsorted(corner_of[order], np.arange(len(visibility.corners.points) + 1))
-
-    def in_file(corners: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        # Return the file's indices of corners of `visibility`, and for each its row in `corners`.
-        place, row = take_ragged(first, corners)
-        return order[place], row
-
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
-    #    An edge (a, b) becomes edges between all of the file's corners at a and all of the file's corners at b.
-    start, row_a = in_file(a[is_taut])
-    end, row_b = in_file(b[is_taut][row_a])
-    #    Join the file's corners at the same place in a chain, so that paths may pass from one to another.
-    same = np.flatnonzero(corner_of[order[1:]] == corner_of[order[:-1]])
-    pairs = np.concatenate([np.stack([start[row_b], end], axis=1), np.stack([order[same], order[same + 1]], axis=1)])
-    #    Columns: the earlier corner, the later corner. Rows are distinct, sorted by the later, then the earlier one.
-    edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
+    edges = _edges_in_file(order, first, a[is_taut], b[is_taut])
     # 3. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
     true, rounded = visibility.corners.points[corner_of], outline.positions[point_of]
@@ -310,7 +300,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # 4. Grow the leaves and their lists.
     def file_data(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
-        listed, row = in_file(lists.corner)
+        place, row = take_ragged(first, lists.corner)
+        listed = order[place]
         leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
         by_leaf = np.lexsort((listed, leaf))
         return PairsFileData(domain, outline, point_of, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
@@ -325,6 +316,26 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
             f"max_bytes={limits.max_bytes:,.0f}: raise it, or simplify the polygons."
         )
     return pairs_data, data
+
+
+def _edges_in_file(order: _Indices, first: _Indices, a: _Indices, b: _Indices) -> Int[np.ndarray, "edges 2"]:
+    """Return the edges between corners of the file, given the edges from ``a`` to ``b`` between workspace corners.
+
+    The file has the corners ``order[first[c] : first[c + 1]]`` at corner ``c`` of the workspace. Columns of the
+    result are the earlier and the later corner. Rows are distinct, sorted by the later, then the earlier corner.
+    """
+    # 1. Join all of the file's corners at a with all at b. If the file has corners 4 and 6 at a, and 5 and 9 at b:
+    #      the edge               (a, b)
+    #      has the starts         (4, b)          (6, b)
+    #      and becomes the edges  (4, 5), (4, 9), (6, 5), (6, 9).
+    start, edge = take_ragged(first, a)  # places in `order`
+    end, row = take_ragged(first, b[edge])
+    between = np.stack([start[row], end], axis=1)
+    # 2. Join the file's corners at the same place in a chain, so that paths may pass from one to another: (4, 6).
+    later = np.setdiff1d(np.arange(1, len(order)), first)  # all but the first at each place
+    chains = np.stack([later - 1, later], axis=1)
+    edges = order[np.concatenate([between, chains])]
+    return np.unique(np.sort(edges, axis=1)[:, ::-1], axis=0)[:, ::-1]
 
 
 def corners_in_outline(

@@ -40,11 +40,23 @@ from plr_jax.pairs.grid_corners import (
 # and its mirror image, and one of row sums.
 _TABLES = 3
 _IN_ROWS = 2  # index of the row sums
+BLOCK = 4  # corners of a cell that are read in one step
+GROUP = 16  # cells whose block offsets share a base
+_BLOCKS_AT_ONCE = 2**20  # blocks filled together during construction
+_SORTED_BITS = 18  # bits of the index of a pair among the pairs sorted together
+_CHUNK = 1024  # pairs per chunk
+_MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
+_MOST_SORTED = 2**7 - 1  # larger numbers of blocks count as this in sorting
+_WORD = 32  # bits of a word
+_ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
+# Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step.
+SLACK = 2.0**-20
 Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]  # rows and columns; functions of cells answer NumPy in NumPy
 Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
 Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
 _Lengths = Int32[Array, "n"]
-_Blocks = UInt32[Array, "n"]
+_Bits = UInt32[Array, "n"]  # of each cell, one bit for each of 32 blocks of corners
+_BitsAndLength = tuple[_Bits, _Bits, _Lengths]
 _Scalar = Int[Array, ""]
 _Corners = Int32[Array, "n 4"]  # a block of corners of each cell, or their distances
 _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
@@ -74,6 +86,11 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
     #        # # . . .  r - 1    the four cells of its square is blocked.
     #        # # # . .  r
     #            c
+    #
+    # Only blocked cells beside a free cell count, and only illegal steps whose square also has a free cell. This
+    # suffices, since `sees` counts between a free cell p and a cell q: on the way from p to any blocked cell in
+    # between, the first blocked cell is beside a free cell, and the first square with a blocked cell also has a free
+    # one.
 
     def sums_along_rows(marks: Grid) -> _Sums:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -89,7 +106,6 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
             sums[row, 1:] += sums[row - 1, :-1]
         return sums
 
-    # Only cells and steps beside a free cell count.
     if connectivity == 4:  # one table: the blocked cells above and before each cell
         tables = [sums_along_rows(~free & (is_beside_free(free) | is_beside_free(free.T).T)).cumsum(axis=0)]
     else:
@@ -114,6 +130,7 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     Two cells see each other if both are free and no obstacle blocks any path between them that would be shortest on
     an empty grid.
     """
+    # It suffices to test that p is free: if only q is blocked, the sums count q, a cell before q, or a step before q.
     xp: Any = np if isinstance(p, np.ndarray) else jnp
     sums = xp.asarray(sight.sums)
 
@@ -157,11 +174,6 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
 def _narrow(numbers: Int[np.ndarray, " n"]) -> Integer[np.ndarray, " n"]:
     # The same numbers, which are at least 0, in as few bytes as the largest one needs.
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
-
-
-BLOCK = 4  # corners of a cell that are read in one step
-GROUP = 16  # cells whose block offsets share a base
-_BLOCKS_AT_ONCE = 2**20  # blocks filled together during construction
 
 
 @pytree
@@ -211,16 +223,6 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     return jax.tree_util.tree_map(
         lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
     )
-
-
-_SORTED_BITS = 18  # bits of the index of a pair among the pairs sorted together
-_CHUNK = 1024  # pairs per chunk
-_MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
-_MOST_SORTED = 2**7 - 1  # larger numbers of blocks count as this in sorting
-_WORD = 32  # bits of a word
-_ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
-# Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step.
-SLACK = 2.0**-20
 
 
 @jax.jit
@@ -274,8 +276,8 @@ def evaluate_to(
     p, is_inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     around = partial(_least_around, tables, onward=partial(looked_up, from_goal))
-    open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
-    lengths = jnp.where(sees(tables.sight, p, q), open_way, part_by_part(around, _CHUNK, p))
+    direct = open_length(tables.connectivity, *jnp.abs(p - q).T)
+    lengths = jnp.where(sees(tables.sight, p, q), direct, part_by_part(around, _CHUNK, p))
     return _in_steps(tables.connectivity, lengths, is_inside).reshape(x.shape[:-1])
 
 
@@ -313,20 +315,20 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     # A loop over blocks takes as long for a chunk as for its slowest pair.
     is_seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
-        length, blocks_p, blocks_q = _most_likely(tables, p, q, is_seen)
-        return _least_over_blocks(tables, _OpenBlocks(p, blocks_p), _OpenBlocks(q, blocks_q), length)
+        length, bits_p, bits_q = _most_likely(tables, p, q, is_seen)
+        return _least_over_blocks(tables, _PendingBlocks(p, bits_p), _PendingBlocks(q, bits_q), length)
     # 1. Find the most likely paths. Sort pairs by the number of blocks of the first cell, then of the second cell.
     num_p, num_q = (jnp.minimum(jnp.where(is_seen, 0, _blocks_of(tables, end)[1]), _MOST_SORTED) for end in (p, q))
     chunks = _sorted_chunks(num_p * (_MOST_SORTED + 1) + num_q)
     by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], is_seen[chunk]), chunks)
-    length, *blocks = (jnp.zeros(len(p), column.dtype).at[chunks].set(column) for column in by_chunk)
+    length, *bits = (jnp.zeros(len(p), column.dtype).at[chunks].set(column) for column in by_chunk)
     # 2. Try the blocks that may have shorter paths. Sort pairs by the number of combinations of such blocks.
-    num_p, num_q = (lax.population_count(bits).astype(jnp.int32) for bits in blocks)
+    num_p, num_q = (lax.population_count(of_cell).astype(jnp.int32) for of_cell in bits)
     chunks = _sorted_chunks(num_p * num_q)
 
     def of_chunk(chunk: Int32[Array, " size"]) -> Int32[Array, " size"]:
-        ends = _OpenBlocks(p[chunk], blocks[0][chunk]), _OpenBlocks(q[chunk], blocks[1][chunk])
-        return _least_over_blocks(tables, *ends, length[chunk])
+        pending = _PendingBlocks(p[chunk], bits[0][chunk]), _PendingBlocks(q[chunk], bits[1][chunk])
+        return _least_over_blocks(tables, *pending, length[chunk])
 
     return length.at[chunks].set(lax.map(of_chunk, chunks))
 
@@ -340,12 +342,12 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
     return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
 
 
-def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
+def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Bits, _Bits]:
     """Return the length of a likely shortest path for each pair of cells, and the blocks that may have a shorter one.
 
     Blocks are groups of four corners. The second and third result have the blocks of cells ``p`` and ``q``, as bits
-    of an integer (see :class:`_OpenBlocks`). ``is_seen`` says which pairs of cells see each other. For these pairs no
-    path is shorter, so the results have no blocks.
+    of an integer (see :class:`_PendingBlocks`). ``is_seen`` says which pairs of cells see each other. For these pairs
+    no path is shorter, so the results have no blocks.
     """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)
@@ -370,7 +372,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: F
         corners = _corners_of_block(tables, first, count, block)
         lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
         least = lengths.min(axis=1)
-        corner = jnp.where(lengths == least[:, None], corners, -1).max(axis=1)
+        corner = jnp.where(lengths == least[:, None], corners, -1).max(axis=1)  # any of the nearest corners
         is_nearer = least < best[0]
         return jnp.where(is_nearer, least, best[0]), jnp.where(is_nearer, corner, best[1])
 
@@ -379,13 +381,13 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: F
     return corner, jnp.where(count > 0, _legs(tables, cells, corner[:, None])[:, 0], FAR)
 
 
-def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
+def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Bits:
     # A bit for each of a cell's first 32 blocks: whether a path over one of its four corners would be shorter than
-    # `length` on an empty grid, so that a path may be. Later blocks are always tried (`_OpenBlocks.word`).
+    # `length` on an empty grid, so that a path may be. Later blocks are always tried (`_PendingBlocks.word`).
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
-    def with_block(block: _Scalar, bits: _Blocks) -> _Blocks:
+    def with_block(block: _Scalar, bits: _Bits) -> _Bits:
         corners = _corners_of_block(tables, first, count, block)
         lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
         is_better = (lengths.min(axis=1) < length) & (block < count)
@@ -395,68 +397,63 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
 
 
-class _OpenBlocks(NamedTuple):
-    """The blocks (of four corners each) that a search still has to try for each cell, one bit for each block.
+class _PendingBlocks(NamedTuple):
+    """The blocks (of four corners each) that a search still has to try for each cell, as words of 32 bits.
 
-    Blocks after the first 32 are always tried.
+    A bit is set if its block is still to try. Blocks after the first word are always tried.
     """
 
     cells: Cells
-    blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
+    first_word: _Bits
 
-    def words(self, tables: GridTables) -> Int32[Array, ""]:
-        # The number of words, as many as the cell with most blocks needs.
+    def num_words(self, tables: GridTables) -> _Scalar:
+        # As many as the cell with most blocks needs.
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
-    def word(self, tables: GridTables, number: _Scalar) -> _Blocks:
+    def word(self, tables: GridTables, number: _Scalar) -> _Bits:
         # In later words, the bits of all blocks that exist. A shift by 32 bits is undefined, so a word without bits
         # is a case of its own.
         num_bits = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
         all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
-        return jnp.where(number == 0, self.blocks, all_bits)
+        return jnp.where(number == 0, self.first_word, all_bits)
 
-    def corners(self, tables: GridTables, number: _Scalar, bits: _Blocks) -> _Corners:
+    def corners(self, tables: GridTables, number: _Scalar, bits: _Bits) -> _Corners:
         # The corners of the block of the lowest set bit x: as many zeros are below it as ~x & (x - 1) has ones.
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
 
 
-def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
+def _least_over_blocks(tables: GridTables, of_p: _PendingBlocks, of_q: _PendingBlocks, length: _Lengths) -> _Lengths:
     """Return, for each pair of cells, the length of the shortest path over two corners, but at most ``length``.
 
-    The corners are in open blocks: one in a block of ``open_p``, which belongs to the first cell, the other in a
-    block of ``open_q``, which belongs to the second cell.
+    The corners are in pending blocks: one in a block of ``of_p``, which belongs to the first cell, the other in a
+    block of ``of_q``, which belongs to the second cell.
     """
 
     # Loop over all pairs of a word of the first cell and a word of the second cell, then over pairs of set bits.
-    def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
-        word, other_word = jnp.divmod(words, open_q.words(tables))
-        blocks, other_blocks = open_p.word(tables, word), open_q.word(tables, other_word)
+    def with_pair_of_words(pair: _Scalar, length: _Lengths) -> _Lengths:
+        number_p, number_q = jnp.divmod(pair, of_q.num_words(tables))
+        word_p, word_q = of_p.word(tables, number_p), of_q.word(tables, number_q)
 
-        def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
+        def with_pair_of_bits(state: _BitsAndLength) -> _BitsAndLength:
             # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
             # bit of the first cell, go through all bits of the second cell, then start these again.
-            bits, other_bits, length = state
-            corners, others = open_p.corners(tables, word, bits), open_q.corners(tables, other_word, other_bits)
-            legs, other_legs = _legs(tables, open_p.cells, corners), _legs(tables, open_q.cells, others)
-            between = tables.distances.between(corners[:, :, None], others[:, None])
-            total = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
-            length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, total), length)
-            other_bits = other_bits & (other_bits - 1)
-            is_last = other_bits == 0
-            bits = jnp.where(is_last, bits & (bits - 1), bits)
-            return bits, jnp.where(is_last, other_blocks, other_bits), length
+            bits_p, bits_q, length = state
+            corners_p, corners_q = of_p.corners(tables, number_p, bits_p), of_q.corners(tables, number_q, bits_q)
+            legs_p, legs_q = _legs(tables, of_p.cells, corners_p), _legs(tables, of_q.cells, corners_q)
+            between = tables.distances.between(corners_p[:, :, None], corners_q[:, None])
+            total = (legs_p[:, :, None] + between + legs_q[:, None]).min(axis=(1, 2))
+            length = jnp.where((bits_p != 0) & (bits_q != 0), jnp.minimum(length, total), length)
+            bits_q = bits_q & (bits_q - 1)
+            is_last = bits_q == 0
+            bits_p = jnp.where(is_last, bits_p & (bits_p - 1), bits_p)
+            return bits_p, jnp.where(is_last, word_q, bits_q), length
 
-        def is_any_open(state: _BitsAndLength) -> Bool[Array, ""]:
-            return ((state[0] != 0) & (other_blocks != 0)).any()
+        start = word_p, word_q, length
+        return lax.while_loop(lambda state: ((state[0] != 0) & (word_q != 0)).any(), with_pair_of_bits, start)[2]
 
-        return lax.while_loop(is_any_open, with_blocks, (blocks, other_blocks, length))[2]
-
-    return lax.fori_loop(0, open_p.words(tables) * open_q.words(tables), with_words, length)
-
-
-_BitsAndLength = tuple[_Blocks, _Blocks, _Lengths]
+    return lax.fori_loop(0, of_p.num_words(tables) * of_q.num_words(tables), with_pair_of_words, length)
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:

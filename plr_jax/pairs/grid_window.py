@@ -7,6 +7,7 @@ up as well. Then spread distances from the rim into the window, by sweeps.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +21,19 @@ from plr_jax.pairs.grid_query import Cells, GridTables, cells_of, is_free, lengt
 _RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together
 _AGENTS = 1024  # agents whose squares are computed together
 # Agents are the last axis, so that processors vectorize over them.
-Square = Int32[Array, "width width n"]
+_Square = Int32[Array, "width width n"]
 _Free = Bool[Array, "width width n"]
-Rim = Int32[Array, "rim n"]
+_Rim = Int32[Array, "rim n"]
 _RimFlags = Bool[Array, "rim n"]
 _RimCells = Int32[Array, "rim n 2"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
-_Known = tuple[Int32[Array, " n"], Int32[Array, " n"]]  # of each agent: place and length of the last known rim cell
+
+
+class _Known(NamedTuple):
+    """The nearest rim cell of known length, for each agent: its place on the rim, and its length."""
+
+    place: Int32[Array, "*rim n"]
+    length: Int32[Array, "*rim n"]
 
 
 @partial(jax.jit, static_argnames="radius")
@@ -59,8 +66,8 @@ def distances_around(
     # 3. Find lengths of the rim. Look up first the corners toward and away from the goal: lengths between them mostly
     #    follow. The two corners are 2r and 6r if row and column change in opposite directions towards the goal, else
     #    0 and 4r.
-    is_turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
-    looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == 2 * radius * is_turned
+    corner = jnp.where((goal - position).prod(axis=1) < 0, 2 * radius, 0)  # of each agent; the other is 4r further
+    looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == corner
     lengths = _lengths_of_rim(tables, cells, free[rim], goal, looked_up_first)
     # 4. Spread lengths from the rim and the goal into the square.
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
@@ -72,7 +79,7 @@ def distances_around(
 
 def _lengths_of_rim(
     tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, looked_up_first: _RimFlags
-) -> Rim:
+) -> _Rim:
     """Return the path length from each rim cell of each agent's square to the agent's goal; FAR without a path.
 
     ``cells`` are the rows and columns of the rim cells, and ``free`` says which are free. Lengths are in the units of
@@ -92,26 +99,27 @@ def _lengths_of_rim(
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
-    def nearest_known(lengths: Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-        # The place and the length of the last known cell up to each cell of the rim, or from each cell on.
-        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
+    def nearest_known(lengths: _Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> _Known:
+        # The last known cell up to each cell of the rim or, in reverse, the first one from each cell on: (rim, n).
+        def next_cell(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
             index, length, is_known = cell
-            nearest = jnp.where(is_known, index, nearest[0]), jnp.where(is_known, length, nearest[1])
+            nearest = _Known(jnp.where(is_known, index, nearest.place), jnp.where(is_known, length, nearest.length))
             return nearest, nearest
 
-        return lax.scan(step, first, (place, lengths, is_known), reverse=reverse)[1]
+        return lax.scan(next_cell, first, (place, lengths, is_known), reverse=reverse)[1]
 
-    def step(state: tuple[Rim, _RimFlags, _RimFlags]):
+    def look_up_round(state: tuple[_Rim, _RimFlags, _RimFlags]):
         lengths, is_known, is_wanted = state
         lengths, is_known = _with_wanted(tables, cells, goal, lengths, is_wanted), is_known | is_wanted
         # 1. Find the nearest known cells before and after each cell. The rim is a cycle, so the last known cell is
         #    also before the first cell, at a negative place, and the first known cell is after the last cell.
         begin, end = lax.argmax(is_known, 0, jnp.int32), len(cells) - 1 - lax.argmax(is_known[::-1], 0, jnp.int32)
         at_begin, at_end = (jnp.take_along_axis(lengths, cell[None], axis=0)[0] for cell in (begin, end))
-        before, first = nearest_known(lengths, is_known, (end - len(cells), at_end), reverse=False)
-        after, last = nearest_known(lengths, is_known, (begin + len(cells), at_begin), reverse=True)
+        before, first = nearest_known(lengths, is_known, _Known(end - len(cells), at_end), reverse=False)
+        after, last = nearest_known(lengths, is_known, _Known(begin + len(cells), at_begin), reverse=True)
         # 2. Settle the cells between two known cells whose lengths differ by all steps between them, or from which no
-        #    path leads: then no path leads from the free cells between, either.
+        #    path leads: then no path leads from the free cells between, either. Both known cells are in one run of
+        #    free cells, so it suffices to test the first.
         is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
         from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
         new = free & ~is_known & is_settled
@@ -121,18 +129,20 @@ def _lengths_of_rim(
 
     is_wanted = free & (looked_up_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), is_wanted
-    return lax.while_loop(lambda state: state[2].any(), step, none)[0]
+    return lax.while_loop(lambda state: state[2].any(), look_up_round, none)[0]
 
 
-def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
+def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: _Rim, is_wanted: _RimFlags) -> _Rim:
     """Return ``lengths`` with new values from the tables where ``is_wanted``.
 
     ``cells`` are the cells on the rim (the border) of each agent's window. Lengths are those of paths from these
     cells to the agent's ``goal``.
     """
     # 1. List the wanted cells agent by agent, and for each agent in the order of its rim. `count` is the number of
-    #    wanted cells of each agent, `until` the number on its rim up to and with each cell. Cells are numbered in the
-    #    order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells.
+    #    wanted cells of each agent, `until` the number on its rim up to and with each cell, and `end` the number of
+    #    this agent and those before. So `end - count + until - 1` wanted cells come before a cell in the list. Cells
+    #    are numbered in the order of `is_wanted.ravel()`; the list is filled up with a number beyond all cells. On
+    #    CPUs, `scan` is several times faster here than `cumsum`.
     size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
     all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -155,7 +165,7 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim
     return lax.fori_loop(0, -(-end[-1] // size), with_batch, lengths.ravel()).reshape(lengths.shape)
 
 
-def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
+def _spread(connectivity: int, lengths: _Square, free: _Free) -> _Square:
     """Extend path lengths from some cells of each square to all free cells of the square.
 
     ``lengths`` are FAR in cells whose length is not yet known, and ``free`` says which cells are free.
@@ -168,9 +178,9 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     # 1. Sweep over the rows.
-    def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
+    def swept(lengths: _Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> _Square:
         # One pass over the rows: each row takes lengths from the row before it, straight and by `turns` diagonally.
-        def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
+        def next_row(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
             row = jnp.minimum(row, last_row + straight)
             # A diagonal step comes from the last row, `right` columns further right, if both cells beside are free:
@@ -184,23 +194,22 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
             return (row, is_free), row
 
         border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
-        return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
+        return lax.scan(next_row, border, (lengths, free), reverse=reverse)[1]
 
-    # 2. Sweep down, up, left and right until nothing changes.
-    def spread(part: tuple[Square, _Free]) -> Square:
+    # 2. Sweep down, up, right and left until nothing changes. A sweep to the side sweeps down the transposed square;
+    #    diagonal steps are taken in sweeps down and up.
+    def spread(part: tuple[_Square, _Free]) -> _Square:
         lengths, free = part
 
-        def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
+        def four_sweeps(state: tuple[_Square, Bool[Array, ""]]) -> tuple[_Square, Bool[Array, ""]]:
             best = state[0]
-            for reverse in (False, True):
-                best = swept(best, free, turns, reverse)
-            best = best.swapaxes(0, 1)
-            for reverse in (False, True):
-                best = swept(best, free.swapaxes(0, 1), (), reverse)
-            best = best.swapaxes(0, 1)
+            for free_here, turns_here in ((free, turns), (free.swapaxes(0, 1), ())):
+                for reverse in (False, True):
+                    best = swept(best, free_here, turns_here, reverse)
+                best = best.swapaxes(0, 1)
             return best, (best < state[0]).any()
 
-        return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
+        return lax.while_loop(lambda state: state[1], four_sweeps, (lengths, jnp.asarray(True)))[0]
 
     # 3. Take as many agents at once as fit into caches.
     agents = lengths.shape[-1]

@@ -238,7 +238,7 @@ def _build_leaves(
     has_border = reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
     if limits == (None,) * 4 and domain.dim > 2 and has_border:
         limits = None, _LEAVES_OF_VOLUMES, None, None
-    checked = check_limits(model, domain.dim, *limits, proof, frame_size(domain, folding))
+    checked = check_limits(model, domain.dim, proof, frame_size(domain, folding), *limits)
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 

@@ -93,7 +93,7 @@ def construct_many(
     require_integer("seed", seed, 0)
     executor = options.executor
     options = replace(options, executor=None)
-    limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
+    limits = check_limits(model, domain.dim, proof, frame_size(domain), max_depth, max_leaves, max_bytes, tolerance)
     # 2. Group the oracles: families whose cones are built together, and single oracles.
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, Cone) and is_plane and limits.tolerance == 0 and options == DEFAULT_OPTIONS

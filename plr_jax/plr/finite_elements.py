@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._types import Distances, Points
 from plr_jax.plr.leaf_faces import (
     Indices,
+    Pairs,
     SharedFaces,
     check_num_weights,
     corner_parents,
@@ -31,7 +32,7 @@ from plr_jax.plr.leaf_faces import (
     face_points,
     resolve_constraints,
 )
-from plr_jax.plr.tree import Tree, corner_bits
+from plr_jax.plr.tree import Cells, Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -41,6 +42,23 @@ if TYPE_CHECKING:
 _MOST_WEIGHTS = 2**20
 _MOST_WEIGHTS_OF_LEAF = 2**8
 _GROWTH = 4  # the elimination of constraints may use this many times more weights
+
+# The local basis of a leaf. Order 0 is multilinear interpolation of corner values. Order 1 is cubic Hermite
+# interpolation of corner values and derivatives, the rectangular element of Bogner, Fox and Schmit (1965). At a
+# corner, derivatives are means over the multilinear functions of the leaves tied there. A hanging corner takes value
+# and derivatives from the cubic of its host leaf; they determine the cubic on either half of the face, so the
+# function stays continuous across it.
+POWERS = (2, 4)  # number of powers of t along each axis, by order
+# Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
+# hang on two leaves with different cubics.
+MAX_DIM_OF_ORDER = (6, 2)
+# By order: coefficients of the basis functions on [0, 1]. Axes: end of the interval, value or derivative, power of t.
+#   order 0:  1 - t, t
+#   order 1:  (1 - t)**2 (1 + 2 t), t (1 - t)**2;  t**2 (3 - 2 t), -t**2 (1 - t)
+_BASIS_1D = (
+    np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2),
+    np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,50 +93,37 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
 
-    cells = tree.leaves
-    dim = cells.dim
-    corners = corner_bits(dim)  # (2**dim, dim) of 0 and 1
-    num_nodes = len(cells) << dim
-    most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(cells))
+    num_leaves, dim = len(tree.leaves), tree.leaves.dim
+    num_nodes = num_leaves << dim
+    most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * num_leaves)
     check_num_weights(len(tied) * 2 ** (dim - 1), most)
-    # 1. Constraint points: corners of the shared part of each tied face, in local coordinates of both leaves. Index 0
-    #    on the first axis of these arrays is the leaf below the face, index 1 the leaf above it.
-    leaves, places = [], []
-    for axis in range(dim):
-        faces = tied[tied.axis == axis]
-        w = corners[corners[:, axis] == 0].astype(float)
-        x = face_points(cells, faces, w).reshape(-1, dim)
-        leaves.append(np.repeat(np.stack([faces.lower, faces.upper]), len(w), axis=1))
-        places.append(np.ldexp(x, cells.depth[leaves[-1]]) - cells.position[leaves[-1]])
-        places[-1][:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
-    leaf, t = np.concatenate(leaves, axis=1), np.concatenate(places, axis=1)  # (2, points), (2, points, dim)
+    # 1. Constraint points, as points of both leaves: index 0 on the first axis of these arrays is the leaf below the
+    #    face, index 1 the leaf above it. `t` is the position in the leaf, from 0 to 1 along each axis.
+    points = [_face_corners(tree.leaves, tied[tied.axis == axis], axis) for axis in range(dim)]
+    leaf, t = (np.concatenate(parts, axis=1) for parts in zip(*points, strict=True))  # (2, points), (2, points, dim)
     is_end = (t == 0) | (t == 1)
     is_corner = is_end.all(axis=2)
     is_shared = is_corner.all(axis=0)  # corners of both leaves
-    node = (leaf << dim) + t.astype(np.int64) @ (1 << np.arange(dim)[::-1])  # meaningless where t is no corner
+    corner = t.astype(np.int64) @ (1 << np.arange(dim)[::-1])  # t == corner_bits[corner], if t is a corner
+    node = (leaf << dim) + corner
     # 2. Groups: nodes of tied leaves that are the same point, numbered by their first node.
     pairs = tuple(node[:, is_shared])
     graph = coo_array((np.ones(len(pairs[0])), pairs), (num_nodes, num_nodes))
-    _, label = connected_components(graph, directed=False)
-    _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
-    group = np.argsort(np.argsort(first_node))[group]
-    num_groups = len(first_node)
+    num_groups, label = connected_components(graph, directed=False)
+    _, first_node = np.unique(label, return_index=True)
+    rank = np.argsort(np.argsort(first_node))  # of each label, by its first node
+    group = rank[label]
     # 3. Hanging groups: corners of one leaf that are no corner of the other. Interpolate each from the first leaf on
     #    which it hangs, until only free groups remain. Row i of `of_groups` then has the weights of free groups in
     #    the value of group i.
+    other_leaf, other_t = leaf[::-1], t[::-1]
     hangs = is_corner & ~is_corner[::-1]
     hanging, first_point = np.unique(group[node[hangs]], return_index=True)
-    host_leaf, host_t = leaf[::-1][hangs][first_point], t[::-1][hangs][first_point]
-    is_free = np.isin(np.arange(num_groups), hanging, invert=True).astype(float)
+    host_leaf, host_t = other_leaf[hangs][first_point], other_t[hangs][first_point]
     step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
-    of_groups = resolve_constraints(step, is_free)
-    # 4. Level of a group: exponents of two in the denominators of its point, summed over the axes. A corner's
-    #    coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the fraction is reduced.
-    numerator = (cells.position[:, None] + corners).reshape(-1, dim)
-    depth = np.repeat(cells.depth, len(corners), axis=0)
-    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
-    level = np.zeros(num_groups, np.int64)
-    level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
+    of_groups = resolve_constraints(step, hanging)
+    # 4. Level of a group, from its first node.
+    level = _node_levels(tree.leaves)[np.sort(first_node)]
     # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there:
     #   (below - above) @ of_groups @ f == 0,     with f the values of free groups.
     # Each row is solved for the group of the highest level in it, which is then no longer free. The matrix of these
@@ -132,22 +137,56 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
         check_num_weights(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
         of_groups = of_groups @ eliminate_constraints(csr_array(rows @ of_groups), level, _GROWTH * most)
     # 6. Free degrees of freedom: groups of reachable leaves that depend on no other group.
-    is_reachable = np.isin(np.arange(num_groups), group.reshape(len(cells), -1)[~unreachable])
+    is_reachable = np.isin(np.arange(num_groups), group.reshape(num_leaves, -1)[~unreachable])
     free_dofs = np.flatnonzero(is_reachable & (of_groups.diagonal() == 1))
     free_dofs = free_dofs[np.argsort(level[free_dofs], kind="stable")]
     values = csr_array(of_groups[group][:, free_dofs])
-    # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over the group. An
-    #    end counts if both its leaf and the node's leaf are reachable, and the node's group is a degree of freedom.
-    ends, is_made = corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
-    counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None]
+    # 7. Prediction of degrees of freedom from coarser ones.
     dof_of_group = np.full(num_groups, -1)
     dof_of_group[free_dofs] = np.arange(len(free_dofs))
-    row = np.broadcast_to(dof_of_group[group].reshape(is_made.shape)[..., None], ends.shape)
-    counts &= row >= 0
-    weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=len(free_dofs)), 1)
-    mean = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(free_dofs), num_nodes))
-    prediction = csr_array(mean @ values)
+    prediction = csr_array(_edge_means(tree, unreachable, dof_of_group[group], len(free_dofs)) @ values)
     return NodalSpace(tree, group, hanging, host_leaf, host_t, free_dofs, level[free_dofs], values, prediction)
+
+
+def _face_corners(cells: Cells, faces: SharedFaces, axis: int) -> tuple[Pairs, Float[np.ndarray, "2 points dim"]]:
+    """Return the corners of faces perpendicular to ``axis``, each as a point of both leaves that share the face.
+
+    Faces are the parts that both leaves share. The results have the leaf of each point, and the point's position in
+    the leaf, from 0 to 1 along each axis. Index 0 on the first axis is for the lower leaf, index 1 for the upper one.
+    """
+    corners = corner_bits(cells.dim)
+    places = corners[corners[:, axis] == 0].astype(float)  # in a face
+    x = face_points(cells, faces, places).reshape(-1, cells.dim)  # in fractions of the domain
+    leaf = np.repeat(np.stack([faces.lower, faces.upper]), len(places), axis=1)
+    t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]  # in fractions of the leaf
+    t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
+    return leaf, t
+
+
+def _node_levels(cells: Cells) -> Int[np.ndarray, " nodes"]:
+    """Return the level of each node: exponents of two in the denominators of its point, summed over the axes."""
+    # A corner's coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the fraction is
+    # reduced.
+    numerator = cells.position[:, None] + corner_bits(cells.dim)  # (leaves, corners, dim)
+    depth = cells.depth[:, None]
+    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
+    return np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=2).ravel()
+
+
+def _edge_means(tree: Tree, unreachable: Bool[np.ndarray, " leaves"], dof: Indices, num_dofs: int) -> "csr_array":
+    """Return the matrix that predicts each degree of freedom from values of nodes.
+
+    At each node that a split made, the prediction is the mean of the ends of the edge that the split halved. It is
+    averaged over the nodes of a degree of freedom. ``dof`` is the index of each node's degree of freedom, -1 for
+    none. An end counts if both its leaf and the node's leaf are reachable.
+    """
+    from scipy.sparse import csr_array
+
+    ends, is_made = corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
+    row = np.broadcast_to(dof.reshape(is_made.shape)[..., None], ends.shape)
+    counts = is_made[..., None] & ~unreachable[ends >> tree.cells.dim] & ~unreachable[:, None, None] & (row >= 0)
+    weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=num_dofs), 1)
+    return csr_array((weight[row[counts]], (row[counts], ends[counts])), (num_dofs, len(dof)))
 
 
 def _interpolation(
@@ -170,22 +209,7 @@ def _interpolation(
     return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
 
 
-# The local basis of a leaf. Order 0 is multilinear interpolation of corner values. Order 1 is cubic Hermite
-# interpolation of corner values and derivatives, the rectangular element of Bogner, Fox and Schmit (1965). At a
-# corner, derivatives are means over the multilinear functions of the leaves tied there. A hanging corner takes value
-# and derivatives from the cubic of its host leaf; they determine the cubic on either half of the face, so the
-# function stays continuous across it.
-
-# By order: coefficients of the basis functions on [0, 1]. Axes: end of the interval, value or derivative, power of t.
-#   order 0:  1 - t, t
-#   order 1:  (1 - t)**2 (1 + 2 t), t (1 - t)**2;  t**2 (3 - 2 t), -t**2 (1 - t)
-_BASIS_1D = (
-    np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2),
-    np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4),
-)
-
-
-def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
+def basis_values(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
     """Return the values of a leaf's basis functions (columns) at points ``t`` of its cell (rows).
 
     Points have coordinates from 0 to 1 across the cell. ``order`` is 0 for multilinear and 1 for cubic functions.
@@ -197,13 +221,13 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     """Return the matrix that maps the degrees of freedom of a function to the coefficients of all leaves.
 
     The degrees of freedom are the values that determine the function. The coefficients of a leaf belong to the basis
-    functions of :func:`design`. Rows of the matrix are sorted by leaf.
+    functions of :func:`basis_values`. Rows of the matrix are sorted by leaf.
     """
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
 def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
-    """Return the coefficients of planes in the basis of :func:`design`, one plane in each row.
+    """Return the coefficients of planes in the basis of :func:`basis_values`, one plane in each row.
 
     ``center[i]`` is the value of plane ``i`` in the middle of a leaf, ``half[i]`` its change from the middle to the
     upper face along each axis.
@@ -214,8 +238,8 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
         return values
     coefficients = np.zeros((*values.shape, len(corners)))
     coefficients[:, :, 0] = values
-    for axis, kind in enumerate(1 << np.arange(half.shape[1])[::-1]):  # the derivative along this axis alone
-        coefficients[:, :, kind] = 2 * half[:, axis, None]  # a leaf has width 1 in t
+    along_one_axis = 1 << np.arange(half.shape[1])[::-1]  # kinds of derivatives
+    coefficients[:, :, along_one_axis] = 2 * half[:, None]  # a leaf has width 1 in t
     return coefficients.reshape(len(values), -1)
 
 
@@ -267,52 +291,63 @@ def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> 
 
 
 def _values_and_derivatives(space: NodalSpace) -> "csr_array":
-    from scipy.sparse import csr_array, diags_array, kron
+    from scipy.sparse import csr_array
 
     # From the free degrees of freedom to the Hermite coefficients of all leaves.
     # A kind k has a bit for each axis along which it differentiates: kind 0 is the value. D[g, k] is the derivative
     # of kind k, by fractions of the domain, at group g; h is the depth of a leaf, whose widths are 2**-h. At place t
     # of the leaf (0 to 1 along each axis), its function with the Hermite basis B is
-    #   f = sum over corners c and kinds k of B[c, k](t) * 2**-(h . k) * D[group of c, k].
-    # Its derivative of kind j is 2**(h . j) times this sum, with the derivative of kind j of B[c, k] in place of it.
-    # D is stored as a vector with D[g, k] in row g * size + k, and B's coefficients with [c, k] of a leaf likewise.
-    kinds = corner_bits(space.dim)
-    size = len(kinds)
-    group = space.group
-    num_groups = int(group.max()) + 1
-    leaf_depth = space.tree.leaves.depth
-    depth = np.repeat(leaf_depth, size, axis=0)  # of each node's leaf
-    is_answered = np.diff(space.values.indptr) > 0
-    # 1. At groups that do not hang, D is a mean of (mixed) derivatives of the multilinear functions of the leaves
-    #    around the corner. Such a derivative is a difference of corner values along each axis of the kind.
-    is_averaged = is_answered & ~np.isin(group, space.hanging)
-    of_free_dofs = csr_array((num_groups * size, len(space.free_dofs)))
+    #   f(t) = sum over corners c and kinds k of B[c, k](t) * 2**-(h . k) * D[group of c, k].
+    # In vectors and matrices, D[g, k] has the row or column `index[g, k]`.
+    num_groups, num_kinds = int(space.group.max()) + 1, 1 << space.dim
+    index = np.arange(num_groups * num_kinds).reshape(num_groups, num_kinds)
+    # 1. Compute D at groups that do not hang, then at hanging groups.
+    of_groups = resolve_constraints(_host_derivatives(space, index), index[space.hanging].ravel())
+    of_groups = of_groups @ _mean_derivatives(space, index)
+    # 2. Coefficients of all leaves, by corner, then kind: 2**-(h . k) * D[group of c, k].
+    depth = np.repeat(space.tree.leaves.depth, num_kinds, axis=0)  # h, of each node's leaf
+    scale = np.ldexp(1.0, -(depth @ corner_bits(space.dim).T))
+    node = np.flatnonzero(np.diff(space.values.indptr))  # nodes with values
+    row = np.arange(scale.size).reshape(scale.shape)
+    place = row[node].ravel(), index[space.group[node]].ravel()
+    return csr_array(csr_array((scale[node].ravel(), place), (scale.size, index.size)) @ of_groups)
+
+
+def _mean_derivatives(space: NodalSpace, index: Int[np.ndarray, "groups kinds"]) -> "csr_array":
+    from scipy.sparse import csr_array, diags_array, kron
+
+    # From the free degrees of freedom to D at groups that do not hang: the mean over the group's nodes of (mixed)
+    # derivatives of the leaves' multilinear functions. The derivative of kind k is 2**(h . k) times a difference of
+    # corner values along each axis of the kind.
+    kinds, group = corner_bits(space.dim), space.group
+    depth = np.repeat(space.tree.leaves.depth, len(kinds), axis=0)  # h, of each node's leaf
+    is_averaged = (np.diff(space.values.indptr) > 0) & ~np.isin(group, space.hanging)
+    derivatives = csr_array((index.size, len(space.free_dofs)))
     for kind, along in enumerate(kinds):
-        table = reduce(np.kron, [np.array([[-1.0, 1.0]] * 2) if is_along else np.eye(2) for is_along in along])
-        every_leaf = kron(diags_array(np.ones(len(leaf_depth))), csr_array(table))
-        differences = csr_array(diags_array(np.ldexp(1.0, depth @ along)) @ every_leaf)
-        # The difference over the smaller of two adjacent cells is the better derivative, so it weighs more.
-        weight = np.ldexp(1.0, depth @ along) * is_averaged
+        in_leaf = reduce(np.kron, [np.array([[-1.0, 1.0]] * 2) if is_along else np.eye(2) for is_along in along])
+        differences = kron(diags_array(np.ones(len(space.tree.leaves))), csr_array(in_leaf))
+        scale = np.ldexp(1.0, depth @ along)  # 2**(h . k)
+        # The derivative in the smaller of two adjacent cells is the better one, so it weighs more.
+        weight = scale * is_averaged
         weight /= np.bincount(group, weight)[group] + (weight == 0)
-        mean = csr_array((weight, (group * size + kind, np.arange(len(group)))), (num_groups * size, len(group)))
-        of_free_dofs = of_free_dofs + mean @ (differences @ space.values)
-    # 2. Hanging groups: D[hanging, j] is the derivative of kind j of the host leaf's cubic, as above.
-    host_depth = leaf_depth[space.host_leaf]
-    host_group = group.reshape(-1, size)[space.host_leaf]
-    to_leaf = np.tile(np.ldexp(1.0, -(host_depth @ kinds.T)), size)  # 2**-(h . k), by corner, then kind
-    columns = (host_group[:, :, None] * size + np.arange(size)).reshape(len(host_group), size * size)
-    rows, weights = [], []
-    for kind, along in enumerate(kinds):
-        of_domain = np.ldexp(1.0, host_depth @ along)[:, None]  # 2**(h . j)
-        weights.append(_derivatives(1, space.host_position, along) * to_leaf * of_domain)
-        rows.append(np.broadcast_to((space.hanging * size + kind)[:, None], columns.shape))
-    entries = np.stack(weights).ravel(), (np.stack(rows).ravel(), np.tile(columns, (size, 1)).ravel())
-    of_hanging = csr_array(entries, (num_groups * size, num_groups * size))
-    is_free = np.ones((num_groups, size))
-    is_free[space.hanging] = 0
-    of_groups = resolve_constraints(of_hanging, is_free.ravel()) @ csr_array(of_free_dofs)
-    # 3. Coefficients of all leaves, by corner, then kind: 2**-(h . k) * D[group of c, k].
-    scale = np.ldexp(1.0, -(depth @ kinds.T))
-    row, kind = np.nonzero(np.broadcast_to(is_answered[:, None], scale.shape))
-    place = row * size + kind, group[row] * size + kind
-    return csr_array(csr_array((scale[row, kind], place), (scale.size, num_groups * size)) @ of_groups)
+        mean = csr_array((weight, (index[group, kind], np.arange(len(group)))), (index.size, len(group)))
+        derivatives = derivatives + mean @ (csr_array(diags_array(scale) @ differences) @ space.values)
+    return csr_array(derivatives)
+
+
+def _host_derivatives(space: NodalSpace, index: Int[np.ndarray, "groups kinds"]) -> "csr_array":
+    from scipy.sparse import csr_array
+
+    # From D at corners of host leaves to D at hanging groups. The derivative of kind j of a host's function f is
+    #   2**(h . j) * sum over corners c and kinds k of B'[c, k](t) * 2**-(h . k) * D[group of c, k],
+    # with B'[c, k] the derivative of kind j of B[c, k].
+    kinds = corner_bits(space.dim)
+    depth = space.tree.leaves.depth[space.host_leaf]  # h
+    hosts = space.group.reshape(-1, len(kinds))[space.host_leaf]  # groups of corners c
+    to_domain = np.ldexp(1.0, depth @ kinds.T)  # 2**(h . j), (hanging, kinds)
+    to_leaf = np.tile(1 / to_domain, len(kinds))  # 2**-(h . k), by corner, then kind
+    basis = np.stack([_derivatives(1, space.host_position, along) for along in kinds])  # (kinds, hanging, terms)
+    weights = basis * to_leaf * to_domain.T[:, :, None]
+    rows = np.broadcast_to(index[space.hanging].T[:, :, None], weights.shape)
+    columns = np.broadcast_to(index[hosts].reshape(weights.shape[1:]), weights.shape)
+    return csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), (index.size, index.size))

@@ -76,18 +76,19 @@ def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
 ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples of a far larger power of two
 
 
-def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> "csr_array":
-    """Return the square matrix that computes all values from the independent values, for which ``is_free`` is 1.
+def resolve_constraints(step: "csr_array", dependent: Indices) -> "csr_array":
+    """Return the square matrix that computes all values from the values that are not ``dependent``.
 
-    If ``is_free[i]`` is 0, value ``i`` is a weighted sum of other values, with the weights in row ``i`` of ``step``.
-    No value may depend on itself.
+    For each index ``i`` in ``dependent``, value ``i`` is a weighted sum of other values. Row ``i`` of ``step`` has
+    the weights; its other rows are empty. No value may depend on itself.
     """
     from scipy.sparse import csr_array, diags_array
 
     # Squaring the matrix substitutes every value by its sum at once, so that the number of substitutions doubles. It
     # ends, since there are no cycles: then all rows name free values only. Rows of free values are unit vectors.
+    is_free = np.isin(np.arange(len(step.indptr) - 1), dependent, invert=True).astype(float)
     step = csr_array(step + diags_array(is_free))
-    while step[:, np.flatnonzero(is_free == 0)].nnz:
+    while step[:, dependent].nnz:
         step = csr_array(step @ step)
         step.eliminate_zeros()
     return step

@@ -56,7 +56,7 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
 _DEGREES = np.array([180.0, 90.0])
 _MAX_TOWN = 1.0  # degrees: coordinates that span less may be longitudes and latitudes
 _SUPPORTED_TYPES = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
-_OTHER_TYPES = ("Point", "MultiPoint", "LineString", "MultiLineString")
+_UNSUPPORTED_TYPES = ("Point", "MultiPoint", "LineString", "MultiLineString")
 # Parts of well-known text that are dropped: in "SRID=4326; POLYGON ZM ((1 2 3 4, ..." the reference "SRID=4326;", the
 # dimensions "ZM", and in each point the altitude 3 and the measure 4.
 _REFERENCE = re.compile(r"(?i)^\s*srid\s*=\s*\d+\s*;")
@@ -91,13 +91,12 @@ def read_geojson(
     """
     path = Path(path)
     with errors_named(path):
-        # 1. Read the polygons. GEOS refuses features without a geometry, which GeoJSON allows.
+        # 1. Read the polygons. GEOS refuses features whose geometry is null, which GeoJSON allows: skip them.
         document = json_of(path)
         if not _is_geojson(document):
             raise ValueError(f'expected GeoJSON of "type" {", ".join(_SUPPORTED_TYPES)}, got {shortened(document)}.')
-        if isinstance(features := document.get("features"), list):
-            is_empty = [isinstance(each, dict) and each.get("geometry", each) is None for each in features]
-            document["features"] = [each for each, skip in zip(features, is_empty, strict=True) if not skip]
+        if isinstance(items := document.get("features"), list):
+            document["features"] = [f for f in items if not isinstance(f, dict) or f.get("geometry", f) is not None]
         try:
             geometry = shapely.from_geojson(json.dumps(document))
         except shapely.errors.GEOSException as error:
@@ -129,11 +128,10 @@ def read_wkt(
     path = Path(path)
     with errors_named(path):
         text = text_of(path)
-        codes = np.frombuffer(text.encode(), np.uint8)
-        if np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")"))).max(initial=0) > _MOST_NESTED:
+        if _depth(text) > _MOST_NESTED:
             raise ValueError(f"expected parentheses at most {_MOST_NESTED} deep, got deeper ones.")
         try:
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"):  # NaN, or a number too large for a float, would give a warning
                 # GEOS refuses a geometry of which only some points have altitudes.
                 text = _ALTITUDES.sub(r"\1", _DIMENSIONS.sub(r"\1 ", _REFERENCE.sub("", text)))
                 geometry = shapely.from_wkt(text)
@@ -143,6 +141,12 @@ def read_wkt(
                 "GEOMETRYCOLLECTION."
             ) from None
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
+
+
+def _depth(text: str) -> int:
+    """Return how deep parentheses are nested."""
+    codes = np.frombuffer(text.encode(), np.uint8)
+    return np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")"))).max(initial=0)
 
 
 def _parts(geometry: Any) -> Iterator[Any]:
@@ -162,10 +166,10 @@ def _workspace_of(
     ``squeeze`` says whether paths may pass between obstacles that touch in a point. A warning tells if coordinates
     look like degrees.
     """
-    parts = enumerate(_parts(shapely.force_2d(geometry)))
-    shapes = [as_polygon(f"polygon {i}", part) for i, part in parts if not part.is_empty]
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
+    parts = enumerate(_parts(shapely.force_2d(geometry)))
+    shapes = [as_polygon(f"polygon {i}", part) for i, part in parts if not part.is_empty]
     if not shapes:
         raise ValueError("expected at least one polygon, got none: all geometries of the file are empty.")
     extent = shapely.total_bounds(shapes).reshape(2, 2)
@@ -192,7 +196,7 @@ def _workspace_of(
 
 
 def _is_geojson(document: Any) -> bool:
-    return isinstance(document, dict) and document.get("type") in (*_SUPPORTED_TYPES, *_OTHER_TYPES)
+    return isinstance(document, dict) and document.get("type") in (*_SUPPORTED_TYPES, *_UNSUPPORTED_TYPES)
 
 
 _READERS: dict[str, Callable[..., Workspace]] = {

@@ -131,48 +131,41 @@ def grid_distance(
         if moves != "any-angle":
             got = f"{max_corners} with moves={moves}"
             raise ValueError(f"max_corners requires any-angle paths, got {got}: leave it out.")
-    point = None if goal is None else _as_points("goal", goal)
-    if point is not None and point.ndim != 1:
-        raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for more.")
-    point = None if point is None else _as_floats(goal=point)[0]
-    count = 0
+    if goal is not None:
+        goal = _as_points("goal", goal)
+        if goal.ndim != 1:
+            raise ValueError(f"goal must be one point of shape (2,), got shape {goal.shape}: use jax.vmap for more.")
+        (goal,) = _as_floats(goal=goal)
+    num_corners = 0
     if moves == "any-angle":
         num_inner = (h - 1) * (w - 1)  # corners of cells inside the grid
         default = num_inner if num_inner <= MAX_LATTICE else (num_inner + 1) // 2
-        count = max(1, min(num_inner, max_corners or default))
-        if count > MOST_CORNERS:
+        num_corners = max(1, min(num_inner, max_corners or default))
+        if num_corners > MOST_CORNERS:
             raise ValueError(
-                f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {count:,} on {h} x {w} cells: "
+                f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {num_corners:,} on {h} x {w} cells: "
                 "pass max_corners, or use moves=8."
             )
     elif moves == 8 and h * w > MOST_CELLS:
         raise ValueError(f"free must have at most {MOST_CELLS:,} cells for moves=8, got {h} x {w}: use moves=4.")
-    if point is None:
-        return GridDistances(*_pairs(mask, moves, count))
-    paths, is_complete, is_nan = _paths(mask, point, moves, count)
-    return GridDistance(paths, is_complete, is_nan, (h, w))
+    return _make(mask, goal, moves, num_corners)
 
 
 # Each call is one compiled program: compiling even a single operation takes 30 ms.
 
 
-@partial(jax.jit, static_argnames=("moves", "count"))
-def _paths(
-    free: Mask, goal: Float[Array, "2"], moves: Moves, count: int
-) -> tuple[Steps | CornerPaths, Bool[Array, ""], Bool[Array, ""]]:
-    is_nan, goal = jnp.isnan(goal).any(), _finite(goal)
-    if moves != "any-angle":
-        return Steps.to_goal(free, goal, moves), jnp.array(True), is_nan
-    corners, is_complete = convex_corners(free, count)
-    return CornerPaths.to_goal(corners, goal), is_complete, is_nan
-
-
-@partial(jax.jit, static_argnames=("moves", "count"))
-def _pairs(free: Mask, moves: Moves, count: int) -> tuple[StepPairs | CornerPairs, Bool[Array, ""]]:
-    if moves != "any-angle":
-        return StepPairs.of_grid(free, moves), jnp.array(True)
-    corners, is_complete = convex_corners(free, count)
-    return CornerPairs.of_grid(corners), is_complete
+@partial(jax.jit, static_argnames=("moves", "num_corners"))
+def _make(free: Mask, goal: Float[Array, "2"] | None, moves: Moves, num_corners: int) -> GridDistance | GridDistances:
+    h, w = free.shape
+    if moves == "any-angle":
+        corners, is_complete = convex_corners(free, num_corners)
+        of_grid, to_goal = partial(CornerPairs.of_grid, corners), partial(CornerPaths.to_goal, corners)
+    else:
+        is_complete = jnp.array(True)
+        of_grid, to_goal = partial(StepPairs.of_grid, free, moves), partial(Steps.to_goal, free, moves=moves)
+    if goal is None:
+        return GridDistances(of_grid(), is_complete)
+    return GridDistance(to_goal(goal=_finite(goal)), is_complete, jnp.isnan(goal).any(), (h, w))
 
 
 @jax.jit
@@ -193,10 +186,7 @@ def _distance(field: GridDistance | GridDistances, *points: Float[Array, "*#batc
 
 
 def _as_mask(free: ArrayLike) -> Bool[Array | np.ndarray, "h w"]:
-    try:
-        mask = _as_array(free)
-    except (TypeError, ValueError):
-        raise ValueError(f"free must be an array of booleans (h, w), got {shortened(free)}.") from None
+    mask = _as_array(free, "free must be an array of booleans (h, w)")
     if mask.dtype != bool or mask.ndim != 2 or not mask.size:
         expected = "free must be booleans of shape (h, w), rows along y, with at least one cell"
         raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
@@ -210,10 +200,7 @@ def _require_one_map(field: GridDistance | GridDistances, call: str) -> None:
 
 
 def _as_points(name: str, value: ArrayLike) -> Array | np.ndarray:
-    try:
-        points = _as_array(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be points (..., 2), got {shortened(value)}.") from None
+    points = _as_array(value, f"{name} must be points (..., 2)")
     is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
     if not is_real or points.ndim == 0 or points.shape[-1] != 2:
         got = f"{points.dtype} of shape {points.shape}"
@@ -229,21 +216,27 @@ def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "
             f"Integer points are corners of cells, got integers for {' and '.join(names)}: add 0.5 to (column, row) "
             "for the center of a cell, or pass floats if you mean a corner."
         )
-        warnings.warn(message, stacklevel=3)
+        warnings.warn(message, stacklevel=3)  # the line that calls grid_distance or the field
     default = jax.dtypes.canonicalize_dtype(np.float64)
     is_wide = [jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize >= 4 for x in points.values()]
     return [x if wide else x.astype(default) for x, wide in zip(points.values(), is_wide, strict=True)]
 
 
-def _as_array(value: ArrayLike) -> Array | np.ndarray:
-    # NumPy converts booleans and floats, for which JAX would compile a program.
-    if not isinstance(value, jax.Array):
-        # NumPy refuses traced numbers in lists, which JAX converts below, and ragged lists, which JAX refuses, too.
+def _as_array(value: ArrayLike, expected: str) -> Array | np.ndarray:
+    """Convert a value to an array; if this fails, raise a ``ValueError`` that begins with ``expected``."""
+    try:
+        if isinstance(value, jax.Array):
+            return value
+        # NumPy converts booleans and floats, for which JAX would compile a program. It refuses two kinds of lists:
+        # - of traced numbers (TracerArrayConversionError), which JAX converts below;
+        # - ragged ones (ValueError), which JAX refuses, too.
         with suppress(jax.errors.TracerArrayConversionError, ValueError), np.errstate(over="ignore"):
             array = np.asarray(value)
             if array.dtype.kind in "bf":
                 return array.astype(jax.dtypes.canonicalize_dtype(array.dtype), copy=False)
-    return jnp.asarray(value)
+        return jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{expected}, got {shortened(value)}.") from None
 
 
 def _finite(x: Points) -> Points:

@@ -49,7 +49,7 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
     """
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
-    which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
+    which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])  # first and last free cell
     cell = jnp.moveaxis(jnp.take_along_axis(cells, which[..., None], axis=0), 0, -2).astype(x.dtype)
     inset = margin(free.shape, x.dtype)
     return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_inside & is_free.any(axis=0)
@@ -64,7 +64,8 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
     # the bits from `begin` to `end`: all ones shifted up to `begin`, and those shifted down to `end`.
     #   begin = 2, end = 5:   ...11111100 & ...00111111 = ...00111100
     hit, all_ones = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
-    for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
+    slack = margin(shape, a.dtype) / 4  # less than the margin: an extended segment stays in the cell where it ends
+    for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, slack, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
         in_row = jnp.zeros((), jnp.uint32)
         for word in range(blocked.shape[1]):
@@ -151,6 +152,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     a = (cell_centers(shape) if from_centers else lattice(shape))[:, None]
     b = lattice(shape)[None]
     along = b - a
+    # Turned left by 90 degrees, or 0 for slanted segments: only level and upright segments move to their left.
     left = np.where((along == 0).any(axis=-1, keepdims=True), along[..., ::-1] * [-1, 1], 0)
     nudge = 1e-3 / max(shape)
     a, b = a + nudge * (along + left), b - nudge * (along - left)
@@ -183,7 +185,7 @@ class Corners:
     @property
     def _is_lattice(self) -> bool:
         # ``index`` lists all inner cell corners of the grid, few enough for the tables of ``crossed_cells``.
-        return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
+        return len(self.index) <= MAX_LATTICE and len(self.index) == len(lattice(self.free.shape))
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         corners = jnp.asarray(lattice(self.free.shape), dtype)
@@ -197,16 +199,17 @@ class Corners:
         #   | # |   |    sum 0; any point inside a cell will do for them.
         #   +---+---+
         blocked = (~self.free).astype(dtype)
-        to_right, to_upper = blocked[:, :-1] - blocked[:, 1:], blocked[:-1] - blocked[1:]
-        away = to_right[:-1] + to_right[1:], to_upper[:, :-1] + to_upper[:, 1:]
+        along_x, along_y = blocked[:, :-1] - blocked[:, 1:], blocked[:-1] - blocked[1:]
+        away = along_x[:-1] + along_x[1:], along_y[:, :-1] + along_y[:, 1:]
         away = jnp.where(jnp.stack(away, axis=-1) < 0, -1, 1).reshape(-1, 2)[self.index]
         return self.points(dtype) + margin(self.free.shape, dtype) * away.astype(dtype)
 
+    def _are_free(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
+        return is_unobstructed(pack(~self.free), self.free.shape, a, b)
+
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, " n"]:
         # Return whether the straight segment between each pair of points is free.
-        return is_unobstructed(
-            pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
-        )
+        return self._are_free(_end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2)))
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
         """Return which corners each point sees, ``(n, corners)``; only entries of convex corners have a meaning.
@@ -214,7 +217,7 @@ class Corners:
         ``ends`` are the points as :func:`inside_free_cells` returns them.
         """
         corners = self._inset_points(ends.dtype)[None]
-        return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
+        return self._are_free(_end_facing(ends[:, None], corners), corners)
 
     def seen_from_centers(self, dtype: jnp.dtype) -> Bool[Array, "cells corners"]:
         if self._is_lattice:
@@ -232,10 +235,10 @@ class Corners:
             seen = are_unobstructed(crossed, blocked) | are_unobstructed(crossed.swapaxes(1, 2), blocked)
         else:
             inset = self._inset_points(dtype)
-            seen = is_unobstructed(pack(~self.free), self.free.shape, inset[:, None], inset[None])
+            seen = self._are_free(inset[:, None], inset[None])
         seen &= self.is_convex[None] & self.is_convex[:, None] & ~jnp.eye(len(self.index), dtype=bool)
         points = self.points(dtype)
-        return jnp.where(seen, distance(points[:, None], points[None]), jnp.inf)
+        return _length_if_seen(seen, points[:, None], points[None])
 
 
 def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
@@ -249,12 +252,6 @@ def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
     index = jnp.nonzero(is_convex, size=count, fill_value=0)[0].astype(jnp.int32)
     num_convex = is_convex.sum()
     return Corners(free, index, jnp.arange(count) < num_convex), num_convex <= count
-
-
-def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
-    """Return the lengths of segments; the gradient is 0 where the ends coincide."""
-    squares = jnp.sum((a - b) ** 2, axis=-1)
-    return jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
 
 
 @jax.custom_jvp
@@ -304,27 +301,27 @@ class CornerPaths:
         lengths = corners.lengths(goal.dtype)
         (ends,), (is_free,) = inside_free_cells(corners.free, goal[None])
         seen = corners.seen_from(ends[None])[0] & is_free & corners.is_convex
-        straight = _length(seen, goal[None], corners.points(goal.dtype))
+        straight = _length_if_seen(seen, goal[None], corners.points(goal.dtype))
         return cls(corners, relax_from_seen(lengths, straight), goal)
 
     def cells(self) -> Float[Array, "h w"]:
         # Return the distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
-        return self._distance(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
+        return self._distance_given_sight(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
 
     def distance(self, x: Float[Array, "n 2"]) -> Float[Array, " n"]:
         x = x.astype(jnp.promote_types(x.dtype, self.goal.dtype))
-        return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
+        return self._distance_given_sight(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
-    def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
+    def _distance_given_sight(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
         # Return the distance of points that see the corners `seen`: the least length of the straight segment to the
         # goal, and of the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
         through = jnp.isfinite(self.distances)[None] & seen
-        to_goal = _length(sees_goal, x, goal)[:, None]
-        to_corners = _length(through, x[:, None], self.corners.points(x.dtype)[None])
+        to_goal = _length_if_seen(sees_goal, x, goal)[:, None]
+        to_corners = _length_if_seen(through, x[:, None], self.corners.points(x.dtype)[None])
         first, onward = jnp.append(to_goal, to_corners, axis=1), jnp.append(0, self.distances)
         value = _shortest(first, jnp.broadcast_to(onward.astype(x.dtype), first.shape))
         return jnp.where(is_free, value, jnp.inf)
@@ -353,17 +350,19 @@ class CornerPairs:
         dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
         x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
         (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, y))
-        from_x = _length(self.corners.seen_from(x_ends), x[:, None], points)
-        from_y = _length(self.corners.seen_from(y_ends), y[:, None], points)
+        from_x = _length_if_seen(self.corners.seen_from(x_ends), x[:, None], points)
+        from_y = _length_if_seen(self.corners.seen_from(y_ends), y[:, None], points)
         onward = _shortest(from_y[:, None], self.between[None])
-        direct = _length(self.corners.see_each_other(x_ends, y_ends), x, y)[:, None]
+        direct = _length_if_seen(self.corners.see_each_other(x_ends, y_ends), x, y)[:, None]
         value = _shortest(jnp.append(direct, from_x, axis=1), jnp.append(jnp.zeros_like(direct), onward, axis=1))
         return jnp.where(x_is_free & y_is_free & jnp.isfinite(value), value, jnp.inf)
 
 
-def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    # Return the lengths of segments; inf where the ends do not see each other.
-    return jnp.where(seen, distance(a, b), jnp.inf)
+def _length_if_seen(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
+    # Return the lengths of segments, inf where the ends do not see each other; the gradient is 0 where they coincide.
+    squares = jnp.sum((a - b) ** 2, axis=-1)
+    length = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
+    return jnp.where(seen, length, jnp.inf)
 
 
 @jax.custom_jvp

@@ -12,7 +12,7 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import check_limits
 
-LIMITS = check_limits(leaf_model("cone"), 2, None, None, 10_000, None, Proof.NONE, 13)
+LIMITS = check_limits(leaf_model("cone"), 2, Proof.NONE, 13, max_bytes=10_000)
 
 
 def test_smaller_budgets_give_fewer_leaves_and_equal_budgets_equal_bytes():

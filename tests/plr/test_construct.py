@@ -311,10 +311,9 @@ def test_files_fill_the_budget_of_bytes_with_few_errors():
 
 
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
-    most = (given.get(name) for name in ("max_depth", "max_leaves", "max_bytes", "tolerance"))
     size = lambda dim, leaves: 4 * leaves  # noqa: E731
     model = SimpleNamespace(least_bytes=least_bytes, has_deep_trees=has_deep_trees, bytes_without_budget=size)
-    return check_limits(model, dim, *most, Proof.NONE, 13)
+    return check_limits(model, dim, Proof.NONE, 13, **given)
 
 
 @pytest.mark.parametrize(

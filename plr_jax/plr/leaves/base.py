@@ -239,12 +239,12 @@ def read_step(body: BitReader) -> list[float]:
 def check_limits(
     model: LeafModel,
     dim: int,
-    max_depth: int | None,
-    max_leaves: int | None,
-    max_bytes: int | None,
-    tolerance: int | float | None,
     proof: Proof,
     frame_bytes: int,
+    max_depth: int | None = None,
+    max_leaves: int | None = None,
+    max_bytes: int | None = None,
+    tolerance: int | float | None = None,
 ) -> Limits:
     """Check the limits that :func:`construct` was given, and return them with defaults in place of None.
 

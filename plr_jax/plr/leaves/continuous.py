@@ -17,7 +17,7 @@ from plr_jax._arrays import hash64, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.finite_elements import NodalSpace, coefficient_matrix, design, nodal_space, plane_coefficients
+from plr_jax.plr.finite_elements import NodalSpace, basis_values, coefficient_matrix, nodal_space, plane_coefficients
 from plr_jax.plr.finite_elements import monomials as monomials_of_order
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
@@ -341,7 +341,7 @@ def fit_values(
     #   (C^T (B^T W B) C + lambda D^T D) x = C^T B^T W d.
     # B is the same in all leaves: B^T W B has a block (terms, terms) for each leaf, on the diagonal.
     coefficients = coefficient_matrix(order, space)  # C
-    functions = design(order, (fit.pattern.u + 1) / 2)  # B in a leaf, (k, terms)
+    functions = basis_values(order, (fit.pattern.u + 1) / 2)  # B in a leaf, (k, terms)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
     offsets = np.arange(leaves + 1)  # one block in each block row
@@ -420,7 +420,7 @@ class Continuous(PolynomialLeafModel):
         return coefficients
 
     def basis(self, u: Points) -> Coefficients:
-        return design(self.order, (u + 1) / 2)
+        return basis_values(self.order, (u + 1) / 2)
 
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         return plane_coefficients(self.order, center, half)
