@@ -89,14 +89,14 @@ def decode(data: bytes) -> DecodedFile:
     layer = container.last
     # 1. The tree and its leaves.
     leaf = leaf_of_code(layer.leaf_code)
+    if container.folding is not None and isinstance(leaf, Cone):
+        raise ValueError("its points are folded, but its leaves have sources, which cannot be folded")
     leaf.check_domain(container.folded_domain)
     body = BitReader(layer.body)
     tree = read_tree(body, container.domain.dim)
     cells = tree.leaves
     if (deepest := cells.depth.max()) > FRACTION_BITS:
         raise ValueError(f"it splits a cell {deepest} times along one axis, more than {FRACTION_BITS}")
-    if container.folding is not None and isinstance(leaf, Cone):
-        raise ValueError("its points are folded, but its leaves have sources, which cannot be folded")
     stored = leaf.read(body, container.folded_domain, cells)
     # 2. The proof, then goals and cut-off leaves, if the header says so.
     if layer.proof_code not in tuple(Proof):

@@ -48,10 +48,6 @@ _GROWTH = 4  # the elimination of constraints may use this many times more weigh
 # corner, derivatives are means over the multilinear functions of the leaves tied there. A hanging corner takes value
 # and derivatives from the cubic of its host leaf; they determine the cubic on either half of the face, so the
 # function stays continuous across it.
-POWERS = (2, 4)  # number of powers of t along each axis, by order
-# Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
-# hang on two leaves with different cubics.
-MAX_DIM_OF_ORDER = (6, 2)
 # By order: coefficients of the basis functions on [0, 1]. Axes: end of the interval, value or derivative, power of t.
 #   order 0:  1 - t, t
 #   order 1:  (1 - t)**2 (1 + 2 t), t (1 - t)**2;  t**2 (3 - 2 t), -t**2 (1 - t)
