@@ -126,8 +126,8 @@ class _FreeGraph:
         self.first = np.append(np.flatnonzero(np.diff(self.begin, prepend=-1)), len(self.end))
 
     def _changes(self, begin: Nodes, end: Nodes) -> Float[np.ndarray, "edges dim"]:
-        change = self.points[end] - self.points[begin]
-        return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
+        change = self.points.take(end, axis=0) - self.points.take(begin, axis=0)  # faster than indexing
+        return (change - np.rint(change) * self.mesh.domain.periodic) * self.mesh.domain.width
 
     def _edges_to(self, goal: int, space: ConfigurationSpace) -> Edges:
         """Return edges from nearby nodes (corners of cells) to a goal whose cell is not free.

@@ -200,14 +200,15 @@ def test_bounds_obey_strict_promotion_of_ranks_and_types():
 @pytest.mark.full
 def test_bounds_contain_distance_around_a_box_in_space(monkeypatch):
     """The obstacle is as high as the domain: the distance follows from the plane and the height by Pythagoras."""
-    use_few_nodes(monkeypatch, 20_000)
-    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])
-    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.3, 0.2, 0.0), (0.7, 0.6, 0.5)])
+    use_few_nodes(monkeypatch, 1_000)  # too few for the estimate's grid: steps are wider than the obstacle
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.48, 0.0, 0.52, 0.7)])
+    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.48, 0.0, 0.0), (0.52, 0.7, 0.5)])
     goal = np.array([0.1, 0.3, 0.2])
     x = np.column_stack([plane.sample_free(2000, 0), np.random.default_rng(0).uniform(0, 0.5, 2000)])
     distance = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
-    _, _, upper = check_between(solve_eikonal(space, goal, max_leaves=500), x, distance)
-    assert np.isfinite(upper).mean() > 0.3
+    plr = solve_eikonal(space, goal, max_leaves=800)
+    assert np.isfinite(check_between(plr, x, distance)[2]).mean() > 0.3
+    assert np.abs(plr.numpy()(x) - distance).mean() < 0.02 * distance.mean()
 
 
 def test_bounds_contain_cost_of_refracted_paths():

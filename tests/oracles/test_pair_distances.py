@@ -47,8 +47,7 @@ def test_derived_tables_are_shared_and_not_pickled():
     parts = [(o, o._pairs, o.workspace.triangulation, o.workspace.boundary) for o in (again, oracle)]
     assert all(vars(found).keys() < vars(expected).keys() for found, expected in zip(*parts, strict=True))
     answers = [(o(x), o.directions(x), o.between(x, y), o.sources.points) for o in (again, oracle)]
-    for found, expected in zip(*answers, strict=True):
-        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_equal(*answers)
 
 
 def test_pairs_in_separate_rooms_are_unreachable():
