@@ -18,7 +18,7 @@ LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision 
     oracles plr planners spaces traced / pairs / _io / _lookahead / _descend metrics plot scenes eikonal ompl /
     cli guides / __main__"""
 PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame coding sampling /
-    bound_classes container parallel_builds / certificate / growth / best_partition / leaves / _file /
+    bound_classes container / certificate / growth / best_partition / leaves / _file /
     tables / query / team / portable / _plr / _stack / _trace / _construct / _construct_many"""
 PLANNER_LAYERS = """_heuristics _solution / lattice /
     best_first lacam reservations sequential shorten through_time / searches / driver / replanning"""

@@ -31,10 +31,10 @@ print(f((0.93, 0.95)), f.bounds((0.93, 0.95)), f.waypoint((0.93, 0.95)), f.max_e
 
 # C and C++
 
-The header is C99, also valid C++. It allocates nothing and calls no library function except `sqrtf` (a compact
-header: also `memcpy` and `memset`). It defines `float maze_distance(const float x[2])`, which is `INFINITY` outside
-the domain and NaN for NaN. For cones it also defines `void maze_waypoint(const float x[2], float waypoint[2])`, the next
-waypoint.
+The header is C99, also valid C++. It allocates nothing and calls no library function except `sqrtf`; compact headers
+also call `memcpy` and `memset`. It defines `float maze_distance(const float x[2])`, which is `INFINITY` outside the
+domain and NaN for NaN. For cones it also defines `void maze_waypoint(const float x[2], float waypoint[2])`: the point
+to go to next.
 
 In a domain far from the origin, such as UTM coordinates, `x` is `double`. Compile with `-ffp-contract=off`: fused
 operations would change the last bits.

@@ -22,10 +22,10 @@ from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import Cone, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
-from plr_jax.plr.parallel_builds import ParallelOracle
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.sampling import (
     FitRule,
+    ParallelOracle,
     Sampler,
     WeightFn,
     call_oracle,

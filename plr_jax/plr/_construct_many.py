@@ -2,14 +2,17 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import require_integer, shortened
+from plr_jax._compiled import num_cores
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
@@ -19,7 +22,6 @@ from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.parallel_builds import Chunk, build_chunks
 from plr_jax.plr.sampling import reach_of
 
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that an interrupt keeps what is finished
@@ -141,3 +143,51 @@ def _files(
             contents = [replace(file, certificate=proof) for file, proof in zip(contents, proofs, strict=True)]
         files |= zip(built, map(encode, contents), strict=True)
     return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]
+
+
+class Chunk(NamedTuple):
+    """A task of one worker, which computes the bytes of several results, such as files of PLRs."""
+
+    indices: list[int]  # of the results among those of all chunks
+    compute: Callable[[], list[bytes]]  # returns the bytes of each result
+
+
+def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> tuple[dict[int, bytes], bool]:
+    """Compute the results of all chunks, such as files of PLRs, on parallel workers.
+
+    ``executor`` computes the chunks. If it is None or a worker dies, threads of this process compute the missing
+    chunks. ``progress`` counts the results. Return the finished results by index, and whether an interrupt (Ctrl-C)
+    stopped the computation.
+    """
+    results: dict[int, bytes] = {}
+    threads = ThreadPoolExecutor(num_cores())
+    try:
+        if executor is not None:
+            _build_by(executor, chunks, results, progress)
+        # A chunk has all of its results or none.
+        missing = [chunk for chunk in chunks if chunk.indices[0] not in results]
+        _build_by(threads, missing, results, progress)
+    except KeyboardInterrupt:
+        return results, True
+    finally:
+        threads.shutdown(wait=False, cancel_futures=True)
+    return results, False
+
+
+def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], progress: tqdm) -> None:
+    """Compute chunks on the workers of a pool, and add the results of finished chunks to ``results`` by index.
+
+    If workers die or an interrupt (Ctrl-C) stops the computation, the results of some chunks stay missing.
+    """
+    futures: dict[Future[list[bytes]], list[int]] = {}
+    try:
+        with suppress(BrokenExecutor):
+            for chunk in chunks:
+                futures[pool.submit(chunk.compute)] = chunk.indices
+        for future in as_completed(futures):
+            with suppress(BrokenExecutor):
+                progress.update(len(future.result()))
+    finally:  # after an interrupt or an error, keep what is finished
+        for future, indices in futures.items():
+            if not future.cancel() and future.done() and future.exception() is None:
+                results.update(zip(indices, future.result(), strict=True))

@@ -1,9 +1,11 @@
 """Sample the distance function in the cells of a growing partition, and fit a plane to the samples of each cell."""
 
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import product
+from itertools import product, zip_longest
 from typing import TypeAlias
 
 import numpy as np
@@ -23,6 +25,7 @@ MAX_ASPECT_BITS = 3
 _RANK_TOLERANCE = 1e-9  # relative size of singular values that count as zero
 _FACE_WEIGHT = 0.01  # weight of samples on faces and corners, which hardly change fits; inside it is 1
 _SAMPLES_PER_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
+_POINTS_OF_TASK = 1024  # points that a parallel worker evaluates at once, whatever the number of workers
 _FINE_DEPTH = 5  # halvings along each axis after which a cell is small enough to be judged by few samples
 
 
@@ -393,6 +396,34 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
         )
         raise
     return as_distances("distance_fn", answer, x)
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelOracle:
+    """A distance function that the workers of an executor evaluate in parallel, in tasks of up to 1,024 points."""
+
+    distance_fn: DistanceFn
+    executor: Executor
+
+    def __call__(self, x: Points) -> Distances:
+        parts = [x[begin : begin + _POINTS_OF_TASK] for begin in range(0, len(x), _POINTS_OF_TASK)]
+        futures = []  # fewer than parts, if the workers died meanwhile
+        try:
+            with suppress(BrokenExecutor):
+                for part in parts:
+                    futures.append(self.executor.submit(call_oracle, self.distance_fn, part))
+            answers = [np.empty(0)]
+            for part, future in zip_longest(parts, futures):
+                answer = None
+                if future is not None:
+                    with suppress(BrokenExecutor):
+                        answer = future.result()
+                # If the worker died, this process computes the answer.
+                answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
+        finally:
+            for future in futures:
+                future.cancel()
+        return np.concatenate(answers)
 
 
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:

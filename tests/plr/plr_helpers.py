@@ -16,7 +16,7 @@ from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.base import LinearLeafModel
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
-from plr_jax.plr.leaves.independent import IndependentLeafModel, quantize
+from plr_jax.plr.leaves.plane import IndependentLeafModel, quantize
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tables import build_tables
 from plr_jax.plr.tree import Cells, tree_of, tree_of_axes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import plr_jax
-from plr_jax.plr import _construct_many, parallel_builds
+from plr_jax.plr import _construct_many, sampling
 from plr_jax.plr.leaves.cone import worst_first
 
 # Many PLRs at once.
@@ -162,7 +162,7 @@ def test_wrong_arguments_raise(oracles, functions, options, message):
 
 
 def test_bytes_do_not_depend_on_workers_even_if_they_die(monkeypatch):
-    monkeypatch.setattr(parallel_builds, "_AT_ONCE", 50)
+    monkeypatch.setattr(sampling, "_POINTS_OF_TASK", 50)
     roadmap = plr_jax.Roadmap.from_workspace(MAZE, goal=(0.06, 0.07), num_samples=100)
     box = plr_jax.Box((-3, -3, -np.pi), (3, 3, np.pi), (False, False, True))
     folded = plr_jax.ReedsShepp(goal=(0, 0, 0), radius=1)

@@ -31,7 +31,7 @@ from plr_jax.plr.coding import BitWriter, write_tree
 from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.leaves import code_of_leaf, leaf_model, leaf_names
 from plr_jax.plr.leaves.continuous import StoredValues
-from plr_jax.plr.leaves.independent import StoredCoefficients
+from plr_jax.plr.leaves.plane import StoredCoefficients
 from plr_jax.plr.tree import Cells, tree_of
 
 MOST = 50 * 2**20

@@ -11,7 +11,7 @@ from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, 
 from plr_jax import BuildOptions
 from plr_jax.plr import Continuous, Plane, construct
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.independent import FLOAT_BITS, quantize
+from plr_jax.plr.leaves.plane import FLOAT_BITS, quantize
 
 # Leaf models: their names and codes, and what holds of the numbers of every model with free parameters.
 

@@ -10,7 +10,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr._file import filled_coefficients
 from plr_jax.plr.leaf_faces import corner_parents, face_points, overlapping_leaves, shared_faces
 from plr_jax.plr.leaf_faces import neighbor_of_largest_contact as lenders
-from plr_jax.plr.leaves.independent import quantize
+from plr_jax.plr.leaves.plane import quantize
 from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 

@@ -1,19 +1,220 @@
-"""The leaf model ``"plane"``: every leaf has a plane (affine function) fitted to the samples in this leaf alone."""
+"""Planes, and the base class of all leaf models that fit each leaf to its own samples alone: growth and files.
 
+The tree grows best first. A file stores coefficients as scaled integers or as 32-bit floats; ``portable/FORMAT.md``
+describes the bits. All coefficients but the first, the value at the center, shrink as cells are halved. So the file
+has a bit width for each of these coefficients and each number of halvings.
+"""
+
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import sum_of_columns
 from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.frame import Corner, table_corners
-from plr_jax.plr.leaves.base import UNIT, Coefficients, Parameters, largest_coordinates
-from plr_jax.plr.leaves.independent import IndependentLeafModel
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.certificate import LeafFunctions, Proof
+from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
+from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
+from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
+from plr_jax.plr.leaves.base import (
+    UNIT,
+    Coefficients,
+    LinearLeafModel,
+    Parameters,
+    Rules,
+    largest_coordinates,
+    read_step,
+)
+from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
+from plr_jax.plr.tree import Cells, Tree, tree_of
+
+FLOAT_BITS = 32  # bits of a center value that is stored as a float
+MIN_BITS, MAX_BITS = 4, 20  # bits of a center value that is stored as an integer
+_BUDGET_BITS = range(8, 17)  # such bits to choose from under a byte budget
+_FLOAT_INF = 0x7F800000  # bits of the 32-bit float inf
+_WIDTH_BITS = 6  # bits in which the file states a number of bits, of center values or of other coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class StoredCoefficients:
+    """The coefficients of all leaves, with the integers of a file.
+
+    The coefficients of a leaf are ``offset + step * center``, the value at its center, and ``step * others``. If
+    ``bits`` is 32, ``center`` and ``others`` are the bits of 32-bit floats instead; these are the coefficients.
+    """
+
+    bits: int  # of ``center``; 32: ``center`` and ``others`` are bit patterns of floats
+    offset: float
+    step: float
+    center: Int[np.ndarray, " leaves"]  # the largest number (inf, if floats) marks a leaf that cannot reach the goal
+    others: Int[np.ndarray, "leaves others"]
+
+    @property
+    def unreachable(self) -> Bool[np.ndarray, " leaves"]:
+        return self.center == unreachable_code(self.bits)
+
+    def widths(self, halvings: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
+        """Return, for each of the ``others``, the bits per number in leaves of 0, 1, ... ``halvings``."""
+        # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
+        widths = []
+        for index, most in enumerate(halvings.max(axis=0)):
+            largest = np.zeros(most + 1, np.int64)
+            np.maximum.at(largest, halvings[:, index], np.abs(self.others[:, index]))
+            bits = np.frexp(largest)[1] + (largest > 0)
+            widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
+        return widths
+
+    def decode(self) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves others"]]:
+        if self.bits == FLOAT_BITS:
+            return floats_of_bits(self.center), floats_of_bits(self.others)
+        center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
+        return center, self.step * self.others
+
+
+def unreachable_code(bits: int) -> int:
+    return _FLOAT_INF if bits == FLOAT_BITS else (1 << bits) - 1
+
+
+def quantize(center: Distances, others: Coefficients, bits: int) -> StoredCoefficients:
+    """Quantize coefficients to integers, with ``bits`` bits per center value; for 32 bits, store floats instead.
+
+    ``center`` has the value at each leaf's center, or ``inf`` for a leaf that cannot reach the goal. ``others`` has
+    the other coefficients. ``ValueError`` if values are too large to be stored.
+    """
+    is_reachable = np.isfinite(center)
+    if max(np.abs(center[is_reachable]).max(initial=0.0), np.abs(others[is_reachable]).max(initial=0.0)) > LARGEST:
+        raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
+    others = np.where(is_reachable[:, None], others, 0.0)
+    if bits == FLOAT_BITS:
+        # Bit patterns: of center values as unsigned, of `others` as signed integers, as `read` returns them.
+        of_center, of_others = (x.astype(np.float32).view(np.int32).astype(np.int64) for x in (center, others))
+        return StoredCoefficients(bits, 0.0, 1.0, of_center & 0xFFFFFFFF, of_others)
+    # Codes of center values go from 0, at or just below the least value, to the largest before `unreachable_code`.
+    # Offset and step are exact in 32 bits; ``others`` take at most 9 bits more than ``center``.
+    values = center[is_reachable] if is_reachable.any() else np.zeros(1)
+    largest_code = unreachable_code(bits) - 1
+    offset = float(np.nextafter(np.float32(values.min()), np.float32(-np.inf)))
+    spread = max(values.max() - offset, np.abs(others).max(initial=0.0) * 2**-8)
+    step = float(np.nextafter(np.float32(spread / largest_code), np.float32(np.inf)))
+    code = np.rint((np.where(is_reachable, center, offset) - offset) / step)
+    code = np.where(is_reachable, np.clip(code, 0, largest_code), unreachable_code(bits)).astype(np.int64)
+    return StoredCoefficients(bits, offset, step, code, np.rint(others / step).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class IndependentLeafModel(LinearLeafModel):
+    """A base class of leaf models that fit the function of each leaf to the samples in this leaf alone.
+
+    Functions may jump between leaves. The first coefficient is the value at a leaf's center. The others shrink as the
+    cell is halved: see :meth:`halvings`. There are ``min_samples(dim)`` coefficients. ``coefficient_bits`` is the
+    number of bits of a stored center value, as in :class:`Plane`.
+    """
+
+    coefficient_bits: int | None = None
+    splits_by_proven_error = True
+
+    def __post_init__(self):
+        bits, allowed = self.coefficient_bits, (FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1))
+        if bits is not None and not (isinstance(bits, int | np.integer) and bits in allowed):
+            expected = f"an integer, {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}"
+            raise ValueError(f"coefficient_bits must be {expected}, got {bits!r}.")
+
+    @abstractmethod
+    def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
+        """Return how often halvings of each cell have shrunk each coefficient but the first, ``(leaves, others)``.
+
+        Coefficients of the same index and number have one bit width in a file.
+        """
+
+    def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:
+        """Fit a function to the samples of each cell; return its coefficients, and the fit with its residuals.
+
+        By default, functions are the planes of ``fit``, which a cell without samples that reach the goal may have,
+        too. If the center value of a plane is ``inf``, the first coefficient must be ``inf``.
+        """
+        return fit, self.coefficients_of_planes(fit.center, fit.half)
+
+    def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
+        # 32 KB allow 9 halvings along each axis of the plane; deep cells next to the goal have smaller errors.
+        return max(self.min_samples(dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
+
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCoefficients, None]:
+        by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
+        choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
+        choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
+
+        # 1. Nodes of the tree are cells with functions and priorities: proven errors if possible, else the rule's.
+        def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
+            fit, coefficients = self.fit_functions(fill_unsampled_planes(fit, sampler))
+            if by_proof and sampler.cache is not None:
+                finite = np.where(np.isfinite(coefficients), coefficients, 0.0)
+                functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), finite)
+                priority = functions.largest_errors(sampler.cache.sources(fit.cells))
+            else:
+                priority = np.asarray(rules.should_split(fit), float)
+            return nodes_of_fit(fit, coefficients, parent_key, priority, np.asarray(rules.split(fit)), limits)
+
+        # 2. The bits per value decide the size of a file and its rounding errors. The error of a coefficient has the
+        # variance step**2 / 12, and each but the first is multiplied by a function. For planes, this is a coordinate
+        # from -1 to 1, whose square has the mean 1/3. Others are taken to be alike: step**2 / 12 * (1 + others / 3).
+
+        def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredCoefficients:
+            return quantize(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
+
+        def size(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> int:
+            self.write(body := BitWriter(), sampler.domain, nodes.cells[leaf], stored(nodes, leaf, bits))
+            num_cut_off = int(np.count_nonzero(nodes.is_cut_off[leaf]))
+            return limits.file_size(nodes.cells.dim, len(leaf), body.num_bits, num_cut_off)
+
+        def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> float:
+            num_others = nodes.coefficients.shape[1] - 1
+            return float(stored(nodes, leaf, bits).step * np.sqrt((1 + num_others / 3) / 12))
+
+        # 3. Grow the tree.
+        root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
+        encoding = Encoding(choices, size, rounding_error)
+        nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
+        tree = tree_of(nodes.cells[leaf])
+        return tree, stored(nodes, leaf[tree.order], bits), None
+
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCoefficients) -> None:
+        is_reachable, halvings = ~stored.unreachable, self.halvings(cells)
+        widths = stored.widths(halvings)
+        body.write(np.array([stored.bits]), _WIDTH_BITS)
+        if stored.bits != FLOAT_BITS:
+            body.write_floats(np.array([stored.offset, stored.step]))
+        for each in widths:
+            body.write(each, _WIDTH_BITS)
+        body.write(stored.center, stored.bits)
+        for index, each in enumerate(widths):
+            width = each[halvings[is_reachable, index]]
+            body.write(stored.others[is_reachable, index] & ((1 << width) - 1), width)  # two's complement
+
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCoefficients:
+        bits, offset, step = int(body.read_fixed_width(1, _WIDTH_BITS)[0]), 0.0, 1.0
+        if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
+            raise ValueError(f"it states {bits}-bit values")
+        if bits != FLOAT_BITS:
+            offset, step = read_step(body)
+        halvings = self.halvings(cells)
+        widths = [body.read_fixed_width(int(most) + 1, _WIDTH_BITS) for most in halvings.max(axis=0)]
+        if max(each.max() for each in widths) > FLOAT_BITS:
+            raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
+        center, others = body.read_fixed_width(len(cells), bits), np.zeros(halvings.shape, np.int64)
+        is_reachable = center != unreachable_code(bits)
+        for index, each in enumerate(widths):
+            width = each[halvings[is_reachable, index]]
+            code = body.read(width)  # two's complement
+            others[is_reachable, index] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
+        return StoredCoefficients(bits, offset, step, center, others)
+
+    def coefficients(self, cells: Cells, stored: StoredCoefficients) -> Coefficients:
+        return np.column_stack(stored.decode())
 
 
 class Plane(IndependentLeafModel):
