@@ -390,9 +390,11 @@ def _stencil_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return the cost of each node's shortest path to a goal along edges between nodes, and the goal's index.
+    """Return the cost of each node's shortest path to a goal over a grid of nodes, and the goal's index.
 
-    Edges are up to three grid steps long along an axis. If there is no path, the cost is ``inf`` and the index is -1.
+    A path follows edges between nodes, then a straight motion to a goal. An edge changes one group of axes of the
+    motion cost, obliquely too, by up to ``_REACH`` steps along each axis. Without a path, the cost is ``inf`` and the
+    index -1.
     """
     # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.

@@ -112,9 +112,11 @@ class Mesh:
         return self.widths.prod(axis=1)
 
     def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
+        """Convert local coordinates of cells, from 0 to 1 across each cell, to fractions of the domain."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
     def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
+        """Convert fractions of the domain to local coordinates of cells, without regard to periodic axes."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
@@ -244,7 +246,8 @@ class Mesh:
         # 3. Join the parts along the other axes. The key of a new cell is cell * 2**dim + number of its lowest part.
         #    A new cell is proven if its parts have one state, and flush if it is blocked and one of its parts is
         #    flush.
-        number = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
+        bits_of_halved_axes = is_halved @ (1 << np.arange(self.dim)[::-1])
+        number = np.arange(len(bits)) & bits_of_halved_axes[:, None]
         key, of_part = np.unique(np.arange(len(chosen))[:, None] * len(bits) + number, return_inverse=True)
         least, most = np.full(len(key), max(CellState), np.int8), np.full(len(key), min(CellState), np.int8)
         np.minimum.at(least, of_part.ravel(), state.ravel())
@@ -252,7 +255,8 @@ class Mesh:
         cell, part = np.divmod(key, len(bits))
         joined = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
         state = np.where(least == most, least, np.int8(CellState.MIXED))
-        return joined, state, np.bincount(of_part.ravel(), is_flush.ravel()) * (state == CellState.BLOCKED) > 0
+        has_flush_part = np.bincount(of_part.ravel(), is_flush.ravel()) > 0
+        return joined, state, has_flush_part & (state == CellState.BLOCKED)
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
@@ -324,15 +328,16 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         flush, open_cell = mesh.flush_pairs
         flush_lo, flush_hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
         lo, hi, _ = mesh.shared_boxes(flush, open_cell)
-        x = lo[:, None] + (hi - lo)[:, None] * grid
+        x = lo[:, None] + (hi - lo)[:, None] * grid  # 1/2 in a row of `grid`: the edge extends along this axis
         half = np.where(grid == 0.5, (hi - lo)[:, None] / 2, 0.0)
         is_edge = ((x == flush_lo[:, None]) | (x == flush_hi[:, None])).sum(axis=2) > 1
         edges = np.unique(np.append(np.where(periodic, x % 1.0, x), half, axis=2)[is_edge], axis=0)
         middle, half = edges[:, :dim], edges[:, dim:]
         # 2. Find which cells around each are open.
-        x = middle[:, None] + signs * inset
-        around = mesh.locate(np.where(periodic, x % 1.0, x).reshape(-1, dim)).reshape(x.shape[:2])
-        is_open = (mesh.state[around] != CellState.BLOCKED) & (((x > 0) & (x < 1)) | periodic).all(axis=2)
+        places = middle[:, None] + signs * inset
+        around = mesh.locate(np.where(periodic, places % 1.0, places).reshape(-1, dim)).reshape(places.shape[:2])
+        is_inside = (((places > 0) & (places < 1)) | periodic).all(axis=2)
+        is_open = (mesh.state[around] != CellState.BLOCKED) & is_inside
         # 3. Beside the edge, an open cell may be blocked: classify a small box between the edge and the place in it.
         edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * inset)

@@ -75,7 +75,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost = _path_costs(next_, leg)
-    # For each kind of change and each node, the target that was tested last, and the cost of the motion to it.
+    # For each kind of change (row) and each node: the target that was tested last, and the cost of the motion to it.
     tested, cost_to_tested = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)
     for _ in range(_MOST_ROUNDS):
         before = cost
@@ -88,8 +88,9 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
             new = np.flatnonzero(may_save & (target != tested).all(axis=0))
             straight[new] = cost_to_tested[kind, new] = graph.upper_bounds(new, target[new])
             tested[kind, new] = target[new]
-            # 3. Change all paths that become cheaper. A new edge leads to a node of less cost, and no old edge to a
-            #    node of more cost. So a cycle would consist of old edges only, and old edges form no cycle.
+            # 3. Change all paths that become cheaper. By the costs before this change, a new edge leads to a node
+            #    of less cost, and no old edge to a node of more cost. So a cycle would consist of old edges only, and
+            #    old edges form no cycle.
             is_better = straight + cost[target] < (1 - _GAIN) * cost
             next_, leg = np.where(is_better, target, next_), np.where(is_better, straight, leg)
             cost = _path_costs(next_, leg)
@@ -201,7 +202,8 @@ class _FreeGraph:
             begin, end, cell = (column[begin != end] for column in (begin, end, cell))
             change = self._changes(begin, end)
             half = np.ldexp(change / mesh.domain.width, mesh.cells.depth[cell]) / 2
-            cost = self.costs.of_motions(change, cell, mesh.within(cell, self.points[begin]) + half)
+            middle = mesh.within(cell, self.points[begin]) + half  # of each motion, in local coordinates of its cell
+            cost = self.costs.of_motions(change, cell, middle)
             order = np.lexsort((cost, end, begin))
             order = order[np.diff(begin[order] * len(self.points) + end[order], prepend=-1) != 0]
             yield begin[order].astype(np.int32), end[order].astype(np.int32), cost[order]

@@ -169,11 +169,12 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """Convex sets in which the gradient of a lower bound must lie, one for each of its Bernstein coefficients.
+    """Convex sets for the gradient of a lower bound of the cost-to-go: one set for each coefficient of the gradient.
 
-    A set is a ball if costs are lengths, and a product of balls if costs are sums of norms over groups of axes
-    (``blocks``). If costs depend on the direction, a coefficient's negative must lie within ``radius`` of the segment
-    between two vectors, the ``pulls`` of :class:`CellCosts`.
+    The gradient is in Bernstein form; each coefficient is a vector. A set is a ball if costs are lengths, and a
+    product of balls if costs are sums of norms over groups of axes (``blocks``). If costs depend on the direction, a
+    vector ``g`` is in the set if ``-g`` is within ``radius`` of the segment between both ``pulls``, which
+    :class:`CellCosts` explains.
     """
 
     blocks: Sequence[Sequence[int]]

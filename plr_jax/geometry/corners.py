@@ -173,8 +173,8 @@ class TurnPoints:
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
         """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 
-        Corners are given by their indices in ``vertex``. ``sees(i, corner)`` tests whether point ``i`` sees a corner.
-        Without a path, the corner is -1 and the length ``inf``.
+        Corners are numbered as in ``vertex``: goals first, then corners. ``sees(i, corner)`` tests whether point
+        ``i`` sees a corner. Without a path, the corner is -1 and the length ``inf``.
         """
         turn, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
@@ -238,9 +238,9 @@ class TurnRegions:
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 
-        Corners are given by their indices in ``turns.vertex``. ``sees(i, corner)`` tests whether point ``i`` sees a
-        corner. ``places`` are the points ``x``, located in the triangulation. Without a path, the corner is -1 and
-        the length ``inf``.
+        Corners are numbered as in ``self.turns.vertex``: goals first, then corners. ``sees(i, corner)`` tests whether
+        point ``i`` sees a corner. ``places`` are the points ``x``, located in the triangulation. Without a path, the
+        corner is -1 and the length ``inf``.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.

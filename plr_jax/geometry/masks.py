@@ -62,7 +62,8 @@ def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
     corner = np.repeat(np.argwhere(is_corner), 1 + touches[is_corner], axis=0)  # (row, column)
     by_column = corner[np.argsort(corner[:, 1], kind="stable")]
     runs: Any = shapely.linestrings(np.concatenate([corner, by_column]).reshape(-1, 2, 2))
-    # 3. Keep the faces between the runs whose first pixel, above and right of the least corner, is free.
+    # 3. Keep the faces between the runs whose first pixel is free: the pixel [row, column] of the least corner
+    #    (row, column), since corner (r, c) is the corner of pixel [r, c] with the least row and column.
     faces: Any = shapely.normalize(shapely.get_parts(shapely.polygonize(runs)))
     least = shapely.get_coordinates(shapely.get_point(shapely.get_exterior_ring(faces), 0)).astype(int)
     return faces[free[tuple(least.T)]], touches
@@ -150,7 +151,7 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
     ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])  # the next run
     turn = np.empty(len(ring))  # at the start of each run
     turn[ahead] = np.sign(cross_product(along, along[ahead]))
-    turn[outlines.is_contact[corner]] = 1.0  # as around the free pixel, whichever run the ring goes on along
+    turn[outlines.is_contact[corner]] = 1.0  # at a contact the ring may go on along either run: both turn left there
     is_kept = np.ones(len(source), dtype=bool)
     is_kept[of_corner + 1] = turn != turn[ahead]
     index = np.cumsum(is_kept) - 1

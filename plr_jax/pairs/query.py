@@ -201,7 +201,8 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
         better = ~hidden & (length < search.length)
         length, via_x = jnp.where(better, length, search.length), jnp.where(better, first, search.via_x)
         return replace(search, length=length, via_x=via_x, key=next_key)
-    # 2. Find the last turn of the shortest path from there. Corners that are known to be hidden are left out.
+    # 2. Find the last turn of the shortest path from there. Corners that are known to be hidden are left out: place p
+    #    in a list has bit p % 32 of word p // 32 of `hidden_y`.
     columns = np.arange(pairs.keys.shape[1], dtype=np.uint32)[None]
     bits = search.hidden_y[:, :, None] >> np.arange(32, dtype=np.uint32)[None, None]
     is_left_out = (bits.reshape(bits.shape[0], -1)[:, : columns.size] & 1).astype(bool)
@@ -217,7 +218,8 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
     better = length < search.length
     word = np.arange(search.hidden_y.shape[1], dtype=np.uint32)[None] == (last >> 5)[:, None]
     bit = jnp.where(word & hidden_y[:, None], jnp.uint32(1) << (last & 31)[:, None], 0)
-    # 4. Go on to the next first turn, unless only the last turn is hidden: then the next round tries another one.
+    # 4. Go on to the next first turn if it is hidden, or the path was possible, or no last turn is left. Else only
+    #    the last turn is hidden: the next round tries another one.
     return _Search(
         length=jnp.where(better, length, search.length),
         via_x=jnp.where(better, first, search.via_x),

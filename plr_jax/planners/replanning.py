@@ -286,14 +286,16 @@ class _LifelongTeam:
         #    robot starves.
         is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there[:, ~is_there[0]].any(axis=1))
-        arrival = int(arrivals[0]) if len(arrivals) else 0 if is_there[0].all() else len(self.path) - 1
+        last = 0 if is_there[0].all() else len(self.path) - 1
+        arrival = int(arrivals[0]) if len(arrivals) else last
         # 2. Move the team to this row, or to the row in which waiting robots are replanned at the latest.
         row = arrival if self.plan else min(arrival, _WINDOW)
         self._done.append(self.path[1 : row + 1])
         self._num_rows += row
         self.path = self.path[row:]
         # 3. Serve the robots that are at their goals now, unless the next one arrives later.
-        arrived = np.flatnonzero(is_there[row]).tolist() if row == arrival or not len(arrivals) else []
+        is_early = len(arrivals) and row < arrival
+        arrived = [] if is_early else np.flatnonzero(is_there[row]).tolist()
         self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 

@@ -163,7 +163,8 @@ class Routes(NamedTuple):
 def sequential_path(problem: Problem) -> Path | None:
     """Return a path on which the robots move one after the other; None if no such path was found.
 
-    The result is also None if a robot is no disc, or for more than 8 robots or 48 walls.
+    The result is also None if a robot is no disc of radius above ``workspace.tolerance``, or for more than 8 robots
+    or 48 walls.
     """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)

@@ -1,6 +1,6 @@
-"""Encode PLRs as files and decode them (layout: ``portable/FORMAT.md``), with proven bounds of their leaves' errors.
+"""Encode PLRs as files and decode them (layout: ``portable/FORMAT.md``); prove the error bounds that files store.
 
-Two functions prepare the leaf data of a decoded file for queries.
+:func:`relative_to_origin` and :func:`filled_coefficients` prepare the leaf data of a decoded file for queries.
 """
 
 from collections.abc import Callable, Sequence

@@ -386,7 +386,7 @@ class PLR(FileBacked):
 
     @property
     def num_unreachable(self) -> int:
-        """Number of leaves that answer ``inf``."""
+        """Number of leaves that answer ``inf``; :attr:`unreachable` may mark more leaves."""
         return int(np.isinf(self.intercept).sum())
 
     @property

@@ -146,6 +146,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
     aside: list[tuple[Any, ...]] = []  # pieces of earlier rounds that may become open: (visible, leaf, below, above)
 
     def open_pieces(recompute: bool) -> Bool[np.ndarray, " pieces"]:
+        # `sufficient` speaks of bounds widened by `slack`, `below` and `above` are not: convert there and back.
         low, high = sufficient(least - slack, most + slack, recompute)
         low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
         return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
@@ -394,14 +395,13 @@ class Certificate:
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
             return least - spare, most + spare
         # All bounds within the narrowest class that holds a leaf's attained errors encode to this class.
-        spare = _SPARE_OF_CLASS * self.scale
-        least, most = least - spare, most + spare
         lower, upper = self._classes
-        holds = (least + spare - rounding >= lower[:, None]) & (most - spare + rounding <= upper[:, None])
+        holds = (least - rounding >= lower[:, None]) & (most + rounding <= upper[:, None])
         narrowest = holds.argmax(axis=0)
         is_held = holds.any(axis=0)
-        low, high = (np.where(is_held, bounds[narrowest], 0.0) for bounds in (lower, upper))
-        return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
+        low, high = (np.where(is_held, of_classes[narrowest], 0.0) for of_classes in (lower, upper))
+        spare = _SPARE_OF_CLASS * self.scale
+        return np.minimum(least - spare, low + rounding), np.maximum(most + spare, high - rounding)
 
 
 def write_proof(body: BitWriter, certificate: Certificate | None, straight: StraightBound | None) -> Proof:

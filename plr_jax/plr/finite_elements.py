@@ -83,8 +83,8 @@ class NodalSpace:
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " leaves"]) -> NodalSpace:
     """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
 
-    Leaves marked ``unreachable``, from which the goal cannot be reached, have no values. ``ValueError`` if there are
-    too many constraints.
+    Leaves marked ``unreachable``, from which the goal cannot be reached, have no values. ``ValueError`` if the
+    constraints have too many weights.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components

@@ -73,8 +73,8 @@ class Pattern:
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
         # Let W be the diagonal matrix of the weights, and the columns of U an orthonormal basis of all W^(1/2) f for
-        # functions f that are a plane in either half of a cell. For each axis, the basis is W^(1/2) U: then
-        # `|residual @ basis|**2` is how much two planes reduce the weighted sum of squares, |W^(1/2) residual|**2.
+        # functions f that are a plane in either half of a cell. Two planes reduce the weighted sum of squares,
+        # |W^(1/2) residual|**2, by |U' W^(1/2) residual|**2. This is |residual @ basis|**2 with the basis W^(1/2) U.
         root = np.sqrt(self.weight)[:, None]
         bases = []
         for design in self.halves:

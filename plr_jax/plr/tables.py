@@ -143,20 +143,20 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], sh
     return Blocks(tuple(words), jax.device_put(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
+def choose_block_bits(cells: Cells, bits: PerAxis, most_entries: int) -> PerAxis:
     """Choose how often a coarse grid halves each axis, so that the lookup tables of its cells take the least memory.
 
     ``bits`` has the largest number of halvings of a leaf along each axis. ``ValueError`` if, for every coarse grid
-    tried, the tables have more than ``max_entries`` entries.
+    tried, the tables have more than ``most_entries`` entries.
     """
     best, fewest = None, np.inf
     for most in range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum()))):
         block_bits = spread_bits(bits, most)
-        if num_pairs(cells, block_bits) > max_entries:
+        if num_pairs(cells, block_bits) > most_entries:
             break  # finer blocks meet more leaves
         slots = np.sum(2.0 ** block_shapes(cells, block_bits).sum(axis=1))
         size = 4 * 2.0 ** block_bits.sum() + 2 * slots  # bytes
-        if slots <= max_entries and size < fewest:
+        if slots <= most_entries and size < fewest:
             best, fewest = block_bits, size
     if best is not None:
         return best
@@ -201,11 +201,12 @@ class Pages:
 def build_pages(
     cells: Cells, entry_counts: list[int], parameters_per_entry: int
 ) -> tuple[Pages, PerAxis, UInt16[np.ndarray, " entries"], int] | None:
-    """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
+    """Build a lookup table whose coarse grid refers each cell to a leaf or to a *page*, a table for a finer grid.
 
-    Among coarse grids, choose the one whose table takes the least memory. The table is padded to the least sufficient
-    of ``entry_counts`` (ascending); each entry holds ``parameters_per_entry`` numbers. Return the pages, how often
-    the coarse grid halves each axis, the leaf in each entry, and the padded number of entries.
+    Choose the coarse grid for which the table takes the least memory; see :class:`Pages`. Return None if leaves are
+    too many or too deep. The table is padded to the least sufficient of ``entry_counts`` (ascending); each entry
+    holds ``parameters_per_entry`` numbers. Return the pages, how often the coarse grid halves each axis, the leaf in
+    each entry, and the padded number of entries.
     """
     # 1. Choose the coarse grid. An index into a page has a field of `page_bits` bits for each axis, the last axis
     #    lowest, with `later_bits` bits below it. A page that is halved less often along an axis uses the highest
@@ -384,11 +385,13 @@ def build_tables(
         top = bits if is_flat else block_bits
         blocks = None if is_flat else pack_blocks(shape, offset, FRACTION_BITS - top)
         arranged = arrange_parameters(padded(leaf_parameters, rows))
-    # 3. Masks that select the highest fraction bits along each axis.
+    # 3. Masks that select the highest fraction bits along each axis. In the row-major index, the bits of an axis
+    #    stand above the bits of all later axes: shift them right by FRACTION_BITS - (bits of this and later axes).
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
+    right = FRACTION_BITS - np.cumsum(top[::-1])[::-1]
     return Tables(
         frame=jax.device_put(frame_of(domain)),
-        bits=jax.device_put(np.stack([mask, FRACTION_BITS - np.cumsum(top[::-1])[::-1]]).astype(np.uint32)),
+        bits=jax.device_put(np.stack([mask, right]).astype(np.uint32)),
         blocks=blocks,
         pages=pages,
         leaf_of_slot=jax.device_put(padded(leaf_of_slot, slots)),

@@ -169,7 +169,7 @@ class ClearanceSpace:
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:
-        """Return the clearances at configurations, after moving these into the domain.
+        """Return the clearances at configurations, clipped to the domain and wrapped along periodic axes.
 
         ``ValueError`` if a clearance is not finite.
         """

@@ -185,7 +185,10 @@ def cost_bounds(
 
 
 def _checked_pulls(cost_map: DirectionalCost, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors, Numbers, Numbers]:
-    """Check the answer of ``cost_map.pulls`` over boxes, and return it as arrays."""
+    """Call ``cost_map.pulls`` for boxes, check its result, and return it: see :meth:`DirectionalCost.pulls`.
+
+    ``ValueError`` if a shape is wrong, a number is not finite, or ``least`` exceeds ``most``.
+    """
     pull_bounds = cost_map.pulls(lo, hi)
     if not isinstance(pull_bounds, Sequence) or len(pull_bounds) != 4:
         expected = "two arrays of vectors and two of numbers"

@@ -126,9 +126,10 @@ class IndependentLeafModel(LinearLeafModel):
 
     @abstractmethod
     def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
-        """Return how often halvings of each cell have shrunk each coefficient but the first, ``(leaves, others)``.
+        """Return the number of halvings that have shrunk each coefficient but the first of each leaf.
 
-        Coefficients of the same index and number have one bit width in a file.
+        For planes, this is the depth along the coefficient's axis. In a file, coefficients that have the same index
+        and as many halvings have one bit width.
         """
 
     def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:

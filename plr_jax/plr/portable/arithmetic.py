@@ -84,7 +84,7 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
-    if start < 1:
+    if start < 1:  # known when code is generated
         placed = do.let("placed", placed)
         placed = do.where(placed < 1, np.float32(1), placed)
     return do.fraction(placed)
@@ -101,7 +101,8 @@ class Program:
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
-        # 2. Parameters of leaves, without the numbers of the leaf's cell with which parameters of polynomials begin.
+        # 2. Parameters of leaves. Those of polynomials begin with a number of the leaf's cell for each axis, which
+        #    readers leave out, and replace by two numbers for each axis: see :meth:`value`.
         domain_of_leaves, numbers = relative_to_origin(contents, origin)
         self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(domain_of_leaves)

@@ -319,7 +319,7 @@ class ConeFiles:
     def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
         """Encode cone leaves; ``source`` has the index of each leaf's apex among the sources.
 
-        A negative index marks a leaf without a path to the goal; it gets another leaf's apex.
+        A negative index (-1 or ``CUT_OFF``) marks a leaf without a path to the goal; it gets another leaf's apex.
         """
         return self._stored(source)[0]
 
@@ -353,7 +353,8 @@ class ConeFiles:
             added = sources.parents[added]
             added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
-        # 3. Encode them, unless the same sources were encoded before. `row` is the place of a source in `kept`.
+        # 3. Encode them, unless the same sources were encoded before. `row` is the place of a source in `kept`, or of
+        #    another one for sources that are not kept and that no leaf has. Goals are the first sources.
         key = kept.tobytes()
         if key not in self._cache:
             row = np.searchsorted(kept, np.arange(len(sources.parents)))
