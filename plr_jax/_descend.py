@@ -40,6 +40,7 @@ class Descent:
             shorter paths. All vertices are NaN if there is no path. Along periodic axes, segments go the shorter way.
         counts: Number of vertices of each path, ``(n,)``, without the copies of the goal: 1 if the start is the goal,
             0 if there is no path.
+        paths: The vertices of each path without the copies of the goal, a list of ``n`` arrays ``(counts[i], dim)``.
         lengths: Length of each path, ``(n,)``: in workspace units, or for other spaces by their ``motion_cost``. The
             length is ``inf`` if there is no path.
         costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length; ``inf`` if there is

@@ -89,9 +89,9 @@ which refuses targets on walls.
 # Gradient
 
 The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other
-leaves. Shortest paths touch corners, so steps along the raw gradient may end in walls at corners. Keep a distance
-from walls, for example with `workspace.inflate(radius, outside=True)`, or use `descend`. `oracle.directions(x)`
-returns exact directions.
+leaves. Shortest paths touch corners, so steps along the raw gradient may end in walls at corners. Use `descend`,
+or build cones for `workspace.inflate(radius, outside=True)`: it has more corners, so give the file more bytes until
+`max_error` is small. `oracle.directions(x)` returns exact directions.
 
 ```python
 toward_goal = -jax.vmap(jax.grad(cones))(starts)

@@ -98,7 +98,8 @@ class BLOptions:
         if self.step is not None:
             as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
         as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < math.inf)
-        for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
+        as_number("cost_factor", self.cost_factor, "a number of at least 1, or inf", lambda factor: factor >= 1)
+        for name in ("time_limit", "max_expansions", "max_memory"):
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
         if self.heuristic_weight is not None:
             expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight

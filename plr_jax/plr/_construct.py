@@ -184,7 +184,7 @@ def construct(
     """
     from plr_jax.plr._plr import plr_of_leaves  # imports JAX
 
-    domain = Box.of(domain)
+    domain = Box.of(domain, "domain, such as workspace.bounds,")
     proof = proof_of(certified)
     require_function("distance_fn", distance_fn)
     if not isinstance(options, BuildOptions):

@@ -91,7 +91,7 @@ def construct_many(
     for number, oracle in enumerate(oracles):
         if not callable(oracle):
             raise ValueError(f"oracles must be functions, got {shortened(oracle)} at index {number}.")
-    domain, model, proof = Box.of(domain), leaf_model(leaf), proof_of(certified)
+    domain, model, proof = Box.of(domain, "domain, such as workspace.bounds,"), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
     executor = options.executor
     options = replace(options, executor=None)

@@ -364,7 +364,8 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     """Return the approximate distance at each point (Putman et al., Section III-A); the same as ``plr(x)``.
 
     Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
-    finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. An optimizer that may
+    finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. Second derivatives
+    (``jax.hessian``) are not those of the leaf's function. An optimizer that may
     leave the domain should pass ``outside="clamp"``, so that a descent step leads back. Outside of ``jit``, NumPy
     answers up to 4,096 points without compiling, bit for bit as compiled code does, unless ``jax_enable_x64`` is set.
 

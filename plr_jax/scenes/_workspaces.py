@@ -146,7 +146,7 @@ def read_wkt(
 def _depth(text: str) -> int:
     """Return how deep parentheses are nested."""
     codes = np.frombuffer(text.encode(), np.uint8)
-    return np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")"))).max(initial=0)
+    return int(np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")"))).max(initial=0))
 
 
 def _parts(geometry: Any) -> Iterator[Any]:

@@ -37,7 +37,8 @@ def leaf_model(leaf: LeafModel | str) -> LeafModel:
     if isinstance(leaf, LeafModel) and leaf.name in models:  # files store the name's code
         return leaf
     names = ", ".join(map(repr, models))
-    raise ValueError(f"leaf must be a leaf model or its name, one of {names}, got {shortened(leaf)}.")
+    expected = f"a leaf model or its name, with construct also 'best', one of {names}"
+    raise ValueError(f"leaf must be {expected}, got {shortened(leaf)}.")
 
 
 def code_of_leaf(leaf: LeafModel) -> int:
