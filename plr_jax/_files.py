@@ -39,7 +39,7 @@ def file_path(path: object) -> Path:
 @contextmanager
 def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield the path of a file. If the ``with`` block raises a ``ValueError``, put the path before its message."""
-    path = Path(path)
+    path = file_path(path)
     try:
         yield path
     except ValueError as error:

@@ -276,21 +276,24 @@ def _field(
     # 2. The upper bound, by paths through cells that are proven free.
     program, mesh, domain = solver.program, solver.mesh, space.domain
     paths = shortest_paths(mesh, program.costs, goals, space)
-    # 3. Estimates at nodes: up to three axes from a grid, from three axes on by paths through cells that are probably
-    #    free. With three axes there are both, mostly too high, so the lower one counts.
-    guide, estimates = None, []
-    if mesh.dim <= MOST_AXES:
-        guide = grid_estimate(reached, cost_map, domain.at(goals))
-        estimates.append((guide(domain.at(mesh.nodes)), guide.which))
+    # 3. The estimate at nodes: up to three axes from a grid, beyond by paths through cells that are probably free. With
+    #    three axes the grid is coarse, and its estimate a little too high: a path that costs a little less is taken.
+    #    A path that costs much less leads through a thin wall.
+    guide = None
     if mesh.dim >= MOST_AXES:
         likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
-        estimates.append((likely.cost[: len(mesh.nodes)], partial(likely.which, mesh, program.costs)))
+        nodal_estimate, which = likely.cost[: len(mesh.nodes)], partial(likely.which, mesh, program.costs)
+    if mesh.dim <= MOST_AXES:
+        guide = grid_estimate(reached, cost_map, domain.at(goals))
+        of_grid, which = guide(domain.at(mesh.nodes)), guide.which
+        is_near = mesh.dim == MOST_AXES and np.isfinite(of_grid) & (nodal_estimate > _LEAST_OF_GRID * of_grid)
+        nodal_estimate = np.where(is_near, np.minimum(nodal_estimate, of_grid), of_grid)
     if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
         reach = guide.reach(domain)
-    nodal_estimate, which = np.min([costs for costs, _ in estimates], axis=0), estimates[0][1]
     return CostToGoField(program, solver.values, paths, nodal_estimate, space, reach, guide), which
 
 
+_LEAST_OF_GRID = 0.95  # least cost of a path that is believed, as a share of the estimate by the grid
 _COARSEST = 1 / 16  # share of all cells in the first mesh
 _FEWEST = 2  # least number of its cells: in one cell, flows to a goal in its middle cancel
 _REFINED_LOSS = 0.8  # share of the loss (gap) in the cells that are refined together

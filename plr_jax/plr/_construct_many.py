@@ -76,7 +76,8 @@ def construct_many(
 
     Returns:
         The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),
-        the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning.
+        the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning. An interrupt
+        before the first PLR is begun raises ``KeyboardInterrupt``.
 
     Raises:
         ValueError: If ``oracles`` is empty, or as for :func:`construct`.

@@ -17,7 +17,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
 from plr_jax._arrays import as_numbers, shortened
-from plr_jax._files import errors_named, json_of, text_of
+from plr_jax._files import errors_named, file_path, json_of, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import as_polygon
 from plr_jax.geometry.box import Box
@@ -39,7 +39,7 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
     Other keys are ignored. ``squeeze`` says whether a path may pass between two obstacles that touch in one point.
     An invalid file raises ``ValueError``.
     """
-    path = Path(path)
+    path = file_path(path)
     with errors_named(path):
         match json_of(path):
             case {"components": list(components)}:
@@ -89,7 +89,7 @@ def read_geojson(
         ValueError: If the file is not GeoJSON, has other geometries or a polygon that crosses itself or is not
             finite, nothing is free, or an argument is invalid.
     """
-    path = Path(path)
+    path = file_path(path)
     with errors_named(path):
         # 1. Read the polygons. GEOS refuses features whose geometry is null, which GeoJSON allows: skip them.
         document = json_of(path)
@@ -125,7 +125,7 @@ def read_wkt(
     of :func:`read_geojson`, except for two defaults: polygons are free space, and bounds are the bounding box of the
     polygons.
     """
-    path = Path(path)
+    path = file_path(path)
     with errors_named(path):
         text = text_of(path)
         if _depth(text) > _MOST_NESTED:

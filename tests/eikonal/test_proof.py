@@ -6,7 +6,7 @@ import shapely
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, check_between, check_bounds, use_few_nodes
 from space_helpers import BOUNDS, Slow, random_workspace, rectangle
 
-from plr_jax import Box, DiscRobot, RectangleRobot, VisibilityGraph, Workspace, from_bytes, solve_eikonal
+from plr_jax import Box, DiscRobot, RectangleRobot, VisibilityGraph, VoxelGraph, Workspace, from_bytes, solve_eikonal
 from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, RigidBodySpace, VoxelSpace
 
 FULL = pytest.mark.full
@@ -200,15 +200,28 @@ def test_bounds_obey_strict_promotion_of_ranks_and_types():
 @pytest.mark.full
 def test_bounds_contain_distance_around_a_box_in_space(monkeypatch):
     """The obstacle is as high as the domain: the distance follows from the plane and the height by Pythagoras."""
-    use_few_nodes(monkeypatch, 1_000)  # too few for the estimate's grid: steps are wider than the obstacle
-    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.48, 0.0, 0.52, 0.7)])
-    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.48, 0.0, 0.0), (0.52, 0.7, 0.5)])
+    use_few_nodes(monkeypatch, 20_000)
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])
+    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.3, 0.2, 0.0), (0.7, 0.6, 0.5)])
     goal = np.array([0.1, 0.3, 0.2])
     x = np.column_stack([plane.sample_free(2000, 0), np.random.default_rng(0).uniform(0, 0.5, 2000)])
     distance = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
-    plr = solve_eikonal(space, goal, max_leaves=800)
-    assert np.isfinite(check_between(plr, x, distance)[2]).mean() > 0.3
-    assert np.abs(plr.numpy()(x) - distance).mean() < 0.02 * distance.mean()
+    _, _, upper = check_between(solve_eikonal(space, goal, max_leaves=500), x, distance)
+    assert np.isfinite(upper).mean() > 0.3
+
+
+@pytest.mark.full
+def test_estimates_in_space_do_not_lead_through_thin_walls():
+    """Walls of one voxel, with doors at alternating ends; a coarse mesh cannot tell on which side of a wall it is."""
+    free = np.ones((20, 20, 20), bool)
+    for i, k in enumerate(range(2, 19, 3)):
+        free[k] = False
+        free[k, :, 0 if i % 2 else -1] = True
+    space, goal = VoxelSpace(free, bounds=((0, 0, 0), (1, 1, 1))), np.array([0.025, 0.525, 0.025])
+    x = (np.argwhere(free) + 0.5) / 20
+    distance = VoxelGraph(free, goal, bounds=space.domain)(x)
+    found = solve_eikonal(space, goal, max_leaves=600).numpy()(x)
+    assert np.mean(found < 0.7 * distance) < 0.1
 
 
 def test_bounds_contain_cost_of_refracted_paths():
