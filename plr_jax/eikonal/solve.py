@@ -276,18 +276,21 @@ def _field(
     # 2. The upper bound, by paths through cells that are proven free.
     program, mesh, domain = solver.program, solver.mesh, space.domain
     paths = shortest_paths(mesh, program.costs, goals, space)
-    # 3. The estimate at nodes: up to three axes from a grid, beyond by paths through cells that are probably free. With
-    #    three axes the grid is coarse, and its estimate a little too high: a path that costs a little less is taken.
-    #    A path that costs much less leads through a thin wall.
+    # 3. The estimate at nodes: up to three axes from a grid, beyond by paths through cells that are probably free.
+    #    With three axes, the grid is coarse and its estimate a little too high: a path that costs a little less is
+    #    taken. A path that costs much less leads through a thin wall.
     guide = None
-    if mesh.dim >= MOST_AXES:
-        likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
-        nodal_estimate, which = likely.cost[: len(mesh.nodes)], partial(likely.which, mesh, program.costs)
     if mesh.dim <= MOST_AXES:
         guide = grid_estimate(reached, cost_map, domain.at(goals))
-        of_grid, which = guide(domain.at(mesh.nodes)), guide.which
-        is_near = mesh.dim == MOST_AXES and np.isfinite(of_grid) & (nodal_estimate > _LEAST_OF_GRID * of_grid)
-        nodal_estimate = np.where(is_near, np.minimum(nodal_estimate, of_grid), of_grid)
+        nodal_estimate, which = guide(domain.at(mesh.nodes)), guide.which
+    if mesh.dim >= MOST_AXES:
+        likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
+        cost = likely.cost[: len(mesh.nodes)]
+        if guide is None:
+            nodal_estimate, which = cost, partial(likely.which, mesh, program.costs)
+        else:
+            is_near = np.isfinite(nodal_estimate) & (cost > _LEAST_OF_GRID * nodal_estimate)
+            nodal_estimate = np.where(is_near, np.minimum(cost, nodal_estimate), nodal_estimate)
     if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
         reach = guide.reach(domain)
     return CostToGoField(program, solver.values, paths, nodal_estimate, space, reach, guide), which
