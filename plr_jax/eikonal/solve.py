@@ -289,7 +289,7 @@ def _field(
         if guide is None:
             nodal_estimate, which = cost, partial(likely.which, mesh, program.costs)
         else:
-            is_near = np.isfinite(nodal_estimate) & (cost > _LEAST_OF_GRID * nodal_estimate)
+            is_near = cost > _LEAST_OF_GRID * nodal_estimate
             nodal_estimate = np.where(is_near, np.minimum(cost, nodal_estimate), nodal_estimate)
     if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
         reach = guide.reach(domain)
