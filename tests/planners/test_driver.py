@@ -233,7 +233,7 @@ def test_other_objects_as_heuristic_raise():
             bl_plan(ROOMS, heuristic)
 
 
-POSITIVE = ("step", "cost_factor", "time_limit", "max_expansions", "max_memory")
+POSITIVE = ("step", "time_limit", "max_expansions", "max_memory")
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -245,6 +245,9 @@ def test_invalid_options_raise():
     for value in (float("inf"), 10**400):
         with pytest.raises(ValueError, match="step must be None or a positive finite number"):
             BLOptions(step=value)
+    for value in (0.99, float("nan"), "2"):
+        with pytest.raises(ValueError, match="cost_factor must be a number of at least 1, or inf"):
+            BLOptions(cost_factor=value)
     for value in (-5.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="lower_bound must be a finite number of at least 0"):
             BLOptions(lower_bound=value)
