@@ -187,8 +187,9 @@ def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], pr
                 futures[pool.submit(chunk.compute)] = chunk.indices
         for future in as_completed(futures):
             with suppress(BrokenExecutor):
-                progress.update(len(future.result()))
-    finally:  # after an interrupt or an error, keep what is finished
+                results.update(zip(futures[future], future.result(), strict=True))
+                progress.update(len(futures[future]))
+    finally:  # after an interrupt or an error, keep also what is finished, but not collected yet
         for future, indices in futures.items():
             if not future.cancel() and future.done() and future.exception() is None:
                 results.update(zip(indices, future.result(), strict=True))
