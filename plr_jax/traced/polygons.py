@@ -24,7 +24,7 @@ _MARGIN = 32
 _WALL = 4
 _SHARPEST = 1 / 64  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
 _ROUNDS = 3  # a point near several walls is moved away from one wall after another
-_EDGES = 32  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
+_EDGES = 16  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
 
 
 @pytree
