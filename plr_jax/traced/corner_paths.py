@@ -169,7 +169,8 @@ def _(primals, tangents):
 
 def length_if_seen(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
     """Return the lengths of segments, ``inf`` unless ``seen``; the gradient is 0 where the ends coincide."""
-    squares = jnp.sum((a - b) ** 2, axis=-1)
+    dx, dy = a[..., 0] - b[..., 0], a[..., 1] - b[..., 1]
+    squares = dx * dx + dy * dy
     length = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
     return jnp.where(seen, length, jnp.inf)
 
