@@ -264,8 +264,8 @@ class VisibilityGraph(PickledWithoutCaches):
         # 1. Find the vertex of an obstacle at each corner. Paths turn at no other points, up to rounding: where edges
         #    of two obstacles cross, free space is convex.
         corner = np.flatnonzero(np.isfinite(self.distances) & (self.distances > self.workspace.tolerance))
-        tree, corners = shapely.STRtree(shapely.points(obstacles)), shapely.points(vertices[corner])
-        found, nearest = tree.query_nearest(corners, all_matches=False)
+        places, corners = (np.asarray(shapely.points(points)) for points in (obstacles, vertices[corner]))
+        found, nearest = shapely.STRtree(places).query_nearest(corners, all_matches=False)
         column = np.full(len(vertices), len(obstacles))
         column[corner[found]] = nearest
 

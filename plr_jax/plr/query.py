@@ -58,7 +58,8 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Value
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
         if tables.straight is not None:
-            value = jnp.maximum(value, _straight_bound(tables, x))
+            # Differentiate as at 0 outside the domain, as in `_value`.
+            value = jnp.maximum(value, _straight_bound(tables, jnp.where(is_outside[..., None], 0, x)))
     # 3. Replace answers outside the domain.
     return jnp.where(is_outside, jnp.full_like(answer, np.nan) if outside == "nan" else answer, value)
 
@@ -85,7 +86,8 @@ def bounds_of_tables(tables: Tables, band: Float[Array, "2 rows"], x: Array) -> 
     lower, upper = jnp.maximum(value_plus(below, -np.inf), 0), value_plus(above, np.inf)
     if tables.straight is not None:
         x = _as_float_points(tables, x)
-        lower = jnp.maximum(lower, _straight_bound(tables, _wrap(tables, x) if tables.periodic else x))
+        x = jnp.where((value < np.inf)[..., None], _wrap(tables, x) if tables.periodic else x, 0)
+        lower = jnp.maximum(lower, _straight_bound(tables, x))
     return jnp.where(value < np.inf, lower, value), jnp.where(value < np.inf, upper, value)
 
 

@@ -375,7 +375,7 @@ def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"
 def _(primals, tangents):
     first, onward = primals
     total, change = first + onward, tangents[0] + tangents[1]
-    least = jnp.min(total, axis=-1)
+    least = _shortest(first, onward)  # not jnp.min, whose own gradient would count in second derivatives
     # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
     is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
     minimizer = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
