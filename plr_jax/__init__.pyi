@@ -95,4 +95,8 @@ from .spaces import SeesBoxes as SeesBoxes
 from .spaces import VoxelSpace as VoxelSpace
 from .traced import GridDistance as GridDistance
 from .traced import GridDistances as GridDistances
+from .traced import PolygonDistance as PolygonDistance
+from .traced import PolygonDistances as PolygonDistances
 from .traced import grid_distance as grid_distance
+from .traced import polygon_distance as polygon_distance
+from .traced import polygons_of_discs as polygons_of_discs

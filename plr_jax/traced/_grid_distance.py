@@ -1,10 +1,8 @@
 """Distances on a grid of cells that JAX may trace: the public function :func:`grid_distance`."""
 
 import warnings
-from contextlib import suppress
 from dataclasses import field
-from functools import partial, reduce
-from operator import or_
+from functools import partial
 from typing import Literal, overload
 
 import jax
@@ -15,8 +13,10 @@ from jaxtyping import Array, Bool, Float
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
-from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, CornerPairs, CornerPaths, convex_corners
-from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
+from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, GridPaths, convex_corners
+from plr_jax.traced.corner_paths import CornerPairs
+from plr_jax.traced.fields import as_array, as_points, distance, finite, require_one_map
+from plr_jax.traced.steps import MOST_CELLS, Mask, StepPairs, Steps
 
 Moves = Literal["any-angle", 4, 8]
 
@@ -30,15 +30,20 @@ class GridDistance:
     the ``shape`` of the grid, ``(rows, columns)``, on ``moves`` and on ``max_corners``.
     """
 
-    paths: Steps | CornerPaths
+    paths: Steps | GridPaths
     is_complete: Bool[Array, "*maps"]
     is_nan: Bool[Array, "*maps"]
     shape: tuple[int, int] = field(metadata={"static": True})
 
     @property
+    def has_no_answers(self) -> Bool[Array, ""]:
+        """Whether all distances are NaN."""
+        return self.is_nan | ~self.is_complete
+
+    @property
     def cells(self) -> Float[Array, "h w"]:
         """Distances of the centers of all cells to the goal, computed at each access."""
-        _require_one_map(self, "jax.vmap(lambda field: field.cells)(fields)")
+        require_one_map(self, "jax.vmap(lambda field: field.cells)(fields)")
         return _cells(self)
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -49,8 +54,8 @@ class GridDistance:
         ``is_complete`` is false. ``ValueError`` if points are not real. Points of an integer type are corners of
         cells, and give a ``UserWarning``.
         """
-        _require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
-        return _distance(self, *_as_floats(x=_as_points("x", x)))
+        require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
+        return distance(self, *_as_floats(x=as_points("x", x)))
 
     def __repr__(self) -> str:
         return f"GridDistance({self.shape[0]} x {self.shape[1]} cells, {type(self.paths).__name__})"
@@ -63,16 +68,21 @@ class GridDistances:
     paths: StepPairs | CornerPairs
     is_complete: Bool[Array, "*maps"]
 
+    @property
+    def has_no_answers(self) -> Bool[Array, ""]:
+        """Whether all distances are NaN."""
+        return ~self.is_complete
+
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Return the distance between each point of ``x`` and the point of ``y`` at the same index, in cell sides.
 
         Both arrays are real, ``(..., 2)``, with rows ``(x, y)``. Their leading axes must broadcast, else
         ``ValueError``. Distances are ``inf`` or NaN as for :class:`GridDistance`.
         """
-        _require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
-        x, y = _as_points("x", x), _as_points("y", y)
+        require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
+        x, y = as_points("x", x), as_points("y", y)
         broadcast_shape("x and y", x, y)
-        return _distance(self, *_as_floats(x=x, y=y))
+        return distance(self, *_as_floats(x=x, y=y))
 
     def __repr__(self) -> str:
         return f"GridDistances({type(self.paths).__name__})"
@@ -132,7 +142,7 @@ def grid_distance(
             got = f"{max_corners} with moves={moves}"
             raise ValueError(f"max_corners requires any-angle paths, got {got}: leave it out.")
     if goal is not None:
-        goal = _as_points("goal", goal)
+        goal = as_points("goal", goal)
         if goal.ndim != 1:
             raise ValueError(f"goal must be one point of shape (2,), got shape {goal.shape}: use jax.vmap for more.")
         (goal,) = _as_floats(goal=goal)
@@ -156,56 +166,32 @@ def grid_distance(
 
 @partial(jax.jit, static_argnames=("moves", "num_corners"))
 def _make(free: Mask, goal: Float[Array, "2"] | None, moves: Moves, num_corners: int) -> GridDistance | GridDistances:
-    h, w = free.shape
+    is_nan = goal is not None and jnp.isnan(goal).any()
+    goal = None if goal is None else finite(goal)
     if moves == "any-angle":
         corners, is_complete = convex_corners(free, num_corners)
-        of_grid, to_goal = partial(CornerPairs.of_grid, corners), partial(CornerPaths.to_goal, corners)
+        paths = CornerPairs.of_map(corners) if goal is None else GridPaths.to_goals(corners, goal[None])
     else:
         is_complete = jnp.array(True)
-        of_grid, to_goal = partial(StepPairs.of_grid, free, moves), partial(Steps.to_goal, free, moves=moves)
+        paths = StepPairs.of_grid(free, moves) if goal is None else Steps.to_goal(free, goal, moves)
     if goal is None:
-        return GridDistances(of_grid(), is_complete)
-    return GridDistance(to_goal(goal=_finite(goal)), is_complete, jnp.isnan(goal).any(), (h, w))
+        return GridDistances(paths, is_complete)
+    return GridDistance(paths, is_complete, is_nan, free.shape)
 
 
 @jax.jit
 def _cells(field: GridDistance) -> Float[Array, "h w"]:
     h, w = field.shape
     # Any-angle paths pad maps of one row or column.
-    return jnp.where(field.is_nan | ~field.is_complete, jnp.nan, field.paths.cells()[:h, :w])
-
-
-@jax.jit
-def _distance(field: GridDistance | GridDistances, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*batch"]:
-    ends = jnp.broadcast_arrays(*points)
-    is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in ends]) | ~field.is_complete
-    if isinstance(field, GridDistance):
-        is_nan |= field.is_nan
-    distance = field.paths.distance(*(_finite(x).reshape(-1, 2) for x in ends))
-    return jnp.where(is_nan, jnp.nan, distance.reshape(is_nan.shape))
+    return jnp.where(field.has_no_answers, jnp.nan, field.paths.cells()[:h, :w])
 
 
 def _as_mask(free: ArrayLike) -> Bool[Array | np.ndarray, "h w"]:
-    mask = _as_array(free, "free must be an array of booleans (h, w)")
+    mask = as_array(free, "free must be an array of booleans (h, w)")
     if mask.dtype != bool or mask.ndim != 2 or not mask.size:
         expected = "free must be booleans of shape (h, w), rows along y, with at least one cell"
         raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
     return mask
-
-
-def _require_one_map(field: GridDistance | GridDistances, call: str) -> None:
-    if maps := jnp.shape(field.is_complete):
-        batch = " x ".join(map(str, maps))
-        raise ValueError(f"This field holds a batch of {batch} maps (it was made under vmap): use it as {call}.")
-
-
-def _as_points(name: str, value: ArrayLike) -> Array | np.ndarray:
-    points = _as_array(value, f"{name} must be points (..., 2)")
-    is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
-    if not is_real or points.ndim == 0 or points.shape[-1] != 2:
-        got = f"{points.dtype} of shape {points.shape}"
-        raise ValueError(f"{name} must be real numbers of shape (..., 2), rows (x, y), got {got}.")
-    return points
 
 
 def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "*batch 2"]]:
@@ -220,24 +206,3 @@ def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "
     default = jax.dtypes.canonicalize_dtype(np.float64)
     is_wide = [jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize >= 4 for x in points.values()]
     return [x if wide else x.astype(default) for x, wide in zip(points.values(), is_wide, strict=True)]
-
-
-def _as_array(value: ArrayLike, expected: str) -> Array | np.ndarray:
-    """Convert a value to an array; if this fails, raise a ``ValueError`` that begins with ``expected``."""
-    try:
-        if isinstance(value, jax.Array):
-            return value
-        # NumPy converts booleans and floats, for which JAX would compile a program. It refuses two kinds of lists:
-        # - of traced numbers (TracerArrayConversionError), which JAX converts below;
-        # - ragged ones (ValueError), which JAX refuses, too.
-        with suppress(jax.errors.TracerArrayConversionError, ValueError), np.errstate(over="ignore"):
-            array = np.asarray(value)
-            if array.dtype.kind in "bf":
-                return array.astype(jax.dtypes.canonicalize_dtype(array.dtype), copy=False)
-        return jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{expected}, got {shortened(value)}.") from None
-
-
-def _finite(x: Points) -> Points:
-    return jnp.where(jnp.isfinite(x), x, -1)  # outside every grid

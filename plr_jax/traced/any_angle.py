@@ -13,20 +13,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
 from plr_jax._compiled import pytree
+from plr_jax.traced.corner_paths import Broadcast, CornerPaths, length_if_seen
 from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
-Broadcast = Float[Array, "*#batch 2"]
 # Each point, as the end of a segment, is stored as two points inside free cells: moved into the first, and into the
 # last free one of up to four cells around it. Both are equal for a point with one free cell around it.
 #      |         A segment from x to the right begins at the last point, a segment to the left at the first one
 #    . x .       (`_end_facing`). So it begins in a free cell, and does not cross the border on which x lies.
 #      |
 Ends = Float[Array, "*batch 2 2"]
-Lengths = Float[Array, "*batch corners"]
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
 # If a grid has at most so many inner cell corners, each of them counts as a possible convex corner, and sight tests
 # use tables of crossed cells. In larger grids, convex corners are listed: by default up to half of all corners.
@@ -175,8 +173,8 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
 
 
 @pytree
-class Corners:
-    """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend."""
+class GridCorners:
+    """The convex corners of a grid: cell corners with exactly one blocked cell around them, where paths can bend."""
 
     free: Bool[Array, "*maps h w"]  # padded to two rows and columns or more
     index: Int32[Array, "*maps corners"]  # index of each corner in :func:`lattice`
@@ -207,15 +205,13 @@ class Corners:
     def _are_free(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
         return is_unobstructed(pack(~self.free), self.free.shape, a, b)
 
-    def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, " n"]:
-        # Return whether the straight segment between each pair of points is free.
+    def placed(self, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
+        return inside_free_cells(self.free, x)
+
+    def see_each_other(self, a: Float[Array, "*#batch 2 2"], b: Float[Array, "*#batch 2 2"]) -> Bool[Array, "..."]:
         return self._are_free(_end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2)))
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which corners each point sees, ``(n, corners)``; only entries of convex corners have a meaning.
-
-        ``ends`` are the points as :func:`inside_free_cells` returns them.
-        """
         corners = self._inset_points(ends.dtype)[None]
         return self._are_free(_end_facing(ends[:, None], corners), corners)
 
@@ -238,146 +234,29 @@ class Corners:
             seen = self._are_free(inset[:, None], inset[None])
         seen &= self.is_convex[None] & self.is_convex[:, None] & ~jnp.eye(len(self.index), dtype=bool)
         points = self.points(dtype)
-        return _length_if_seen(seen, points[:, None], points[None])
+        return length_if_seen(seen, points[:, None], points[None])
 
 
-def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
+def convex_corners(free: Mask, count: int) -> tuple[GridCorners, Bool[Array, ""]]:
     """Return up to ``count`` convex corners of blocked cells, and whether these are all convex corners of the map."""
     # Pad to at least two rows and columns, so that there is a lattice corner; cells beyond the grid are blocked.
     free = jnp.pad(free, ((0, int(free.shape[0] == 1)), (0, int(free.shape[1] == 1))))
     around = jnp.stack([free[:-1, :-1], free[:-1, 1:], free[1:, :-1], free[1:, 1:]]).reshape(4, -1)
     is_convex = jnp.sum(~around, axis=0) == 1
     if count >= is_convex.size:
-        return Corners(free, jnp.arange(is_convex.size, dtype=jnp.int32), is_convex), jnp.array(True)
+        return GridCorners(free, jnp.arange(is_convex.size, dtype=jnp.int32), is_convex), jnp.array(True)
     index = jnp.nonzero(is_convex, size=count, fill_value=0)[0].astype(jnp.int32)
     num_convex = is_convex.sum()
-    return Corners(free, index, jnp.arange(count) < num_convex), num_convex <= count
-
-
-@jax.custom_jvp
-def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
-    """Return the distance of each corner to the goal, along straight segments between corners.
-
-    ``lengths[i, j]`` is the length of the segment between corners ``i`` and ``j``. ``straight[i]`` is the length of
-    the segment between corner ``i`` and the goal. Both are ``inf`` if the segment is not free. The gradient with
-    respect to ``lengths`` is 0, since lengths between corners depend on the map alone.
-    """
-
-    # The Bellman-Ford algorithm, for all corners at once: a round extends paths by one corner.
-    def relaxed(state):
-        old, _ = state
-        new = jnp.minimum(old, jnp.min(lengths + old[None], axis=-1))
-        return new, jnp.any(new < old)
-
-    return lax.while_loop(lambda state: state[1], relaxed, (straight, jnp.array(True)))[0]
-
-
-@relax_from_seen.defjvp
-def _(primals, tangents):
-    # The gradient of a corner's distance is that of the corner at the goal's end of its path. Pointer doubling finds
-    # that corner from the next corners: paths have at most as many corners as there are.
-    lengths, straight = primals
-    total = relax_from_seen(lengths, straight)
-    corners = jnp.arange(len(straight))
-    onward = jnp.where(straight <= total, corners, jnp.argmin(lengths + total[None], axis=1))
-    for _ in range(len(straight).bit_length()):
-        onward = onward[onward]
-    return total, jnp.where(jnp.isfinite(total), tangents[1][onward], 0)
+    return GridCorners(free, index, jnp.arange(count) < num_convex), num_convex <= count
 
 
 @pytree
-class CornerPaths:
-    """Shortest paths to one goal, by way of convex corners.
+class GridPaths(CornerPaths):
+    """Shortest paths to one goal on a grid."""
 
-    The fields are the corners, the distance of each corner to the goal, and the goal.
-    """
-
-    corners: Corners
-    distances: Float[Array, "*maps corners"]  # from convex corners to the goal
-    goal: Float[Array, "*maps 2"]
-
-    @classmethod
-    def to_goal(cls, corners: Corners, goal: Float[Array, "2"]) -> "CornerPaths":
-        lengths = corners.lengths(goal.dtype)
-        (ends,), (is_free,) = inside_free_cells(corners.free, goal[None])
-        seen = corners.seen_from(ends[None])[0] & is_free & corners.is_convex
-        straight = _length_if_seen(seen, goal[None], corners.points(goal.dtype))
-        return cls(corners, relax_from_seen(lengths, straight), goal)
+    corners: GridCorners
 
     def cells(self) -> Float[Array, "h w"]:
         # Return the distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
-        x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
-        return self._distance_given_sight(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
-
-    def distance(self, x: Float[Array, "n 2"]) -> Float[Array, " n"]:
-        x = x.astype(jnp.promote_types(x.dtype, self.goal.dtype))
-        return self._distance_given_sight(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
-
-    def _distance_given_sight(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
-        # Return the distance of points that see the corners `seen`: the least length of the straight segment to the
-        # goal, and of the paths through each visible corner.
-        goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
-        (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
-        sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
-        through = jnp.isfinite(self.distances)[None] & seen
-        to_goal = _length_if_seen(sees_goal, x, goal)[:, None]
-        to_corners = _length_if_seen(through, x[:, None], self.corners.points(x.dtype)[None])
-        first, onward = jnp.append(to_goal, to_corners, axis=1), jnp.append(0, self.distances)
-        value = _shortest(first, jnp.broadcast_to(onward.astype(x.dtype), first.shape))
-        return jnp.where(is_free, value, jnp.inf)
-
-
-@pytree
-class CornerPairs:
-    """Shortest paths between any two points, by way of convex corners.
-
-    The fields are the corners and the distances between corners.
-    """
-
-    corners: Corners
-    between: Float[Array, "*maps corners corners"]  # shortest paths between corners; 0 from a corner to itself
-
-    @classmethod
-    def of_grid(cls, corners: Corners) -> "CornerPairs":
-        lengths = corners.lengths(jnp.zeros(()).dtype)
-        direct = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
-        # Floyd-Warshall algorithm
-        between = lax.fori_loop(0, len(direct), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), direct)
-        return cls(corners, between)
-
-    def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
-        # The straight segment, or x -> first corner -> last corner -> y: `onward` is the way from each corner to y.
-        dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
-        x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
-        (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, y))
-        from_x = _length_if_seen(self.corners.seen_from(x_ends), x[:, None], points)
-        from_y = _length_if_seen(self.corners.seen_from(y_ends), y[:, None], points)
-        onward = _shortest(from_y[:, None], self.between[None])
-        direct = _length_if_seen(self.corners.see_each_other(x_ends, y_ends), x, y)[:, None]
-        value = _shortest(jnp.append(direct, from_x, axis=1), jnp.append(jnp.zeros_like(direct), onward, axis=1))
-        return jnp.where(x_is_free & y_is_free & jnp.isfinite(value), value, jnp.inf)
-
-
-def _length_if_seen(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    # Return the lengths of segments, inf where the ends do not see each other; the gradient is 0 where they coincide.
-    squares = jnp.sum((a - b) ** 2, axis=-1)
-    length = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
-    return jnp.where(seen, length, jnp.inf)
-
-
-@jax.custom_jvp
-def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
-    """Return the minimum of ``first + onward`` over the last axis; its gradient is that of one minimizing entry."""
-    return jnp.min(first + onward, axis=-1)
-
-
-@_shortest.defjvp
-def _(primals, tangents):
-    first, onward = primals
-    total, change = first + onward, tangents[0] + tangents[1]
-    least = _shortest(first, onward)  # not jnp.min, whose own gradient would count in second derivatives
-    # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
-    is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
-    minimizer = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
-    is_minimizer = jnp.arange(total.shape[-1]) == minimizer[..., None]
-    return least, jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)
+        x = jnp.asarray(cell_centers(self.corners.free.shape), self.goals.dtype)
+        return self.distance_given_sight(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)

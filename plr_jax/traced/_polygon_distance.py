@@ -1,0 +1,180 @@
+"""Distances among polygons that JAX may trace: the public function :func:`polygon_distance`."""
+
+from functools import reduce
+from typing import overload
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from plr_jax._arrays import require_integer
+from plr_jax._compiled import broadcast_shape, pytree
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.traced.corner_paths import CornerPairs, CornerPaths
+from plr_jax.traced.fields import FAR, as_array, as_points, distance, finite, require_one_map
+from plr_jax.traced.polygons import PolygonCorners
+
+MOST_VERTICES = 256  # tests of sight grow with the cube of the number of vertices
+
+
+@pytree
+class PolygonDistance:
+    """The distance from any point to the nearest of some goals among polygons; made by :func:`polygon_distance`.
+
+    ``has_no_answers`` is true if an argument was not finite. Then all distances are NaN.
+    """
+
+    paths: CornerPaths  # relative to `origin`
+    origin: Float[Array, "*maps 2"]
+    has_no_answers: Bool[Array, "*maps"]
+
+    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
+        """Return the distance from each point ``(..., 2)`` to the nearest goal, ``(...)``.
+
+        Distances are ``inf`` with gradient 0 inside polygons, outside the bounds and where no path exists. They are
+        NaN where a coordinate is NaN, and if ``has_no_answers`` is true. ``ValueError`` if points are not real.
+        """
+        require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
+        return _distance(self, as_points("x", x))
+
+    def __repr__(self) -> str:
+        return f"PolygonDistance({_size(self.paths.corners)}, {self.paths.goals.shape[-2]} goals)"
+
+
+@pytree
+class PolygonDistances:
+    """The distance between any two points among polygons; made by :func:`polygon_distance` without a goal."""
+
+    paths: CornerPairs
+    origin: Float[Array, "*maps 2"]
+    has_no_answers: Bool[Array, "*maps"]
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
+        """Return the distance between each point of ``x`` and the point of ``y`` at the same index.
+
+        Both arrays are real, ``(..., 2)``. Their leading axes must broadcast, else ``ValueError``. Distances are
+        ``inf`` or NaN as for :class:`PolygonDistance`.
+        """
+        require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
+        x, y = as_points("x", x), as_points("y", y)
+        broadcast_shape("x and y", x, y)
+        return _distance(self, x, y)
+
+    def __repr__(self) -> str:
+        return f"PolygonDistances({_size(self.paths.corners)})"
+
+
+def _size(corners: PolygonCorners) -> str:
+    m, k, _ = corners.vertices.shape[-3:]
+    return f"{m} polygons of up to {k} vertices"
+
+
+@overload
+def polygon_distance(
+    polygons: ArrayLike, goal: None, *, bounds: Box | ArrayLike | None = None
+) -> PolygonDistances: ...
+@overload
+def polygon_distance(
+    polygons: ArrayLike, goal: ArrayLike, *, bounds: Box | ArrayLike | None = None
+) -> PolygonDistance: ...
+def polygon_distance(
+    polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Box | ArrayLike | None = None
+) -> PolygonDistance | PolygonDistances:
+    """Return a function that measures shortest paths among polygons whose vertices may be traced, as inside ``jit``.
+
+        field = plr_jax.polygon_distance(polygons, goal)
+        field(x)  # distances (n,) to the goal from points x, (n, 2)
+
+    Distances have gradients with respect to vertices, goals and points. Where two paths are equally short, the
+    gradient is that of one of them. At a corner, it is that of the path as taken. All arguments may be created inside
+    ``jax.jit`` and batched by ``jax.vmap``. Distances are those of ``VisibilityGraph`` in ``Workspace(bounds,
+    polygons)``: polygons may overlap and touch, paths may touch walls, but not pass between two polygons that touch in
+    a point.
+
+    Lengths are exact up to rounding. Walls are not: in 32 bits, gaps narrower than 1e-5 of the map count as closed,
+    and a point closer to a wall than 1e-6 of the map may count as on either side. In 64 bits, these are 1e-14 and
+    1e-15. Invalid shapes raise ``ValueError``, also in tracing.
+
+    Args:
+        polygons: Simple polygons, ``(m, k, 2)``, clockwise or counterclockwise, not necessarily convex. Pad polygons
+            of fewer vertices by repeated vertices or by rows of NaN. At most 256 vertices, ``m * k``, with padding.
+        goal: Goal ``(2,)``, or several goals ``(g, 2)``: the distance is that to the nearest. A goal that is not free
+            counts as unreachable. None: the result is a :class:`PolygonDistances`, of pairs of points.
+        bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked. None: the
+            whole plane, up to coordinates of 1e17.
+    """
+    polygons = _as_floats(as_points("polygons", polygons))
+    if polygons.ndim != 3:
+        raise ValueError(f"polygons must have shape (m, k, 2), got {polygons.shape}: use jax.vmap for several maps.")
+    if (count := polygons.shape[0] * polygons.shape[1]) > MOST_VERTICES:
+        raise ValueError(
+            f"polygon_distance takes at most {MOST_VERTICES} vertices, got {count:,} with padding, in an array of "
+            f"shape {polygons.shape}: use VisibilityGraph, whose vertex_gradient has the derivatives."
+        )
+    if goal is not None:
+        goal = _as_floats(as_points("goal", goal))
+        if goal.ndim > 2 or not goal.size:
+            raise ValueError(f"goal must have shape (2,) or (g, 2) with g >= 1, got {goal.shape}.")
+        goal = goal.reshape(-1, 2)
+    if bounds is None:
+        bounds = ((-FAR / 10, -FAR / 10), (FAR / 10, FAR / 10))
+    elif isinstance(bounds, Box):
+        bounds = np.stack([bounds.lo, bounds.hi])
+    bounds = _as_floats(as_array(bounds, "bounds must be a Box or its corners, (2, 2)"))
+    if bounds.shape != (2, 2):
+        raise ValueError(f"bounds must be a Box or its corners ((x0, y0), (x1, y1)), got shape {bounds.shape}.")
+    return _make(polygons, goal, bounds)
+
+
+def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -> Float[Array, "m corners 2"]:
+    """Return regular polygons around discs, for :func:`polygon_distance`: paths stay outside the discs.
+
+    ``centers`` are ``(m, 2)``, ``radii`` a number or ``(m,)``; both may be traced, and have gradients. With ``corners``
+    corners, at least 3, a polygon reaches up to ``1 / cos(pi / corners)`` times the radius: 2 % beyond it for 16.
+    """
+    require_integer("corners", corners, 3)
+    centers = _as_floats(as_points("centers", centers))
+    radii = _as_floats(as_array(radii, "radii must be a number or (m,)"))
+    if centers.ndim != 2 or radii.ndim > 1 or radii.size not in (1, len(centers)):
+        raise ValueError(f"centers must be (m, 2), radii a number or (m,), got {centers.shape} and {radii.shape}.")
+    angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(np.pi / corners)
+    radii = jnp.broadcast_to(radii, len(centers))
+    return centers[:, None] + radii[:, None, None] * jnp.asarray(around, centers.dtype)[None]
+
+
+@jax.jit
+def _make(
+    polygons: Float[Array, "m k 2"], goals: Float[Array, "g 2"] | None, bounds: Float[Array, "2 2"]
+) -> PolygonDistance | PolygonDistances:
+    dtype = reduce(jnp.promote_types, [each.dtype for each in (polygons, goals, bounds) if each is not None])
+    # 1. Mark padding by rows of NaN. A map without polygons gets one of padding alone.
+    polygons = jnp.full((1, 1, 2), jnp.nan, dtype) if polygons.size == 0 else polygons.astype(dtype)
+    is_finite = jnp.isfinite(polygons).all(axis=2, keepdims=True)
+    has_no_answers = ~(is_finite | jnp.isnan(polygons).all(axis=2, keepdims=True)).all() | jnp.isnan(bounds).any()
+    # 2. Move the origin to the middle of the map, around which floats are most precise.
+    lo = jnp.where(is_finite, polygons, jnp.inf).min(axis=(0, 1))
+    hi = jnp.where(is_finite, polygons, -jnp.inf).max(axis=(0, 1))
+    origin = lax.stop_gradient(jnp.where(is_finite.any(), (lo + hi) / 2, 0))
+    polygons = jnp.where(is_finite, polygons - origin[None, None], jnp.nan)
+    corners = PolygonCorners.of_polygons(polygons, bounds.astype(dtype) - origin[None])
+    if goals is None:
+        return PolygonDistances(CornerPairs.of_map(corners), origin, has_no_answers)
+    goals = goals.astype(dtype)
+    paths = CornerPaths.to_goals(corners, finite(goals - origin[None]))
+    return PolygonDistance(paths, origin, has_no_answers | jnp.isnan(goals).any())
+
+
+@jax.jit
+def _distance(field: PolygonDistance | PolygonDistances, *points: Array | np.ndarray) -> Float[Array, "*batch"]:
+    moved = [x.astype(jnp.promote_types(x.dtype, field.origin.dtype)) for x in map(_as_floats, points)]
+    return distance(field, *(x - jnp.broadcast_to(field.origin.astype(x.dtype), x.shape) for x in moved))
+
+
+def _as_floats(value: Array | np.ndarray) -> Array | np.ndarray:
+    """Convert numbers to floats of at least 32 bits."""
+    is_wide = jnp.issubdtype(value.dtype, jnp.floating) and value.dtype.itemsize >= 4
+    return value if is_wide else value.astype(jax.dtypes.canonicalize_dtype(np.float64))

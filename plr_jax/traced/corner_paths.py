@@ -1,0 +1,192 @@
+"""Shortest paths on a map that JAX may trace, by way of the map's convex corners, at which alone paths bend.
+
+Which points see one another is decided without derivatives. Derivatives of a distance are those of the length of one
+shortest path, by its ends and, where the map's points are traced, by its corners.
+"""
+
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from plr_jax._compiled import pytree
+
+Broadcast = Float[Array, "*#batch 2"]
+Points = Float[Array, "n 2"]
+Lengths = Float[Array, " corners"]
+
+
+class CornerMap(Protocol):
+    """The corners of a map, and what is in sight; ``placed`` turns points into ends of segments for tests of sight."""
+
+    @property
+    def is_convex(self) -> Bool[Array, " corners"]:
+        """Whether paths may bend at each corner; false for padding."""
+        ...
+
+    def points(self, dtype: Any) -> Float[Array, "corners 2"]: ...
+
+    def placed(self, x: Float[Array, "*batch 2"]) -> tuple[Any, Bool[Array, "*batch"]]:
+        """Return points as ends of segments, and whether each point is free."""
+        ...
+
+    def see_each_other(self, a: Any, b: Any) -> Bool[Array, "..."]:
+        """Return whether the straight segments between ends are free; batches of ends broadcast."""
+        ...
+
+    def seen_from(self, ends: Any) -> Bool[Array, "n corners"]:
+        """Return which corners each end sees; only entries of convex corners have a meaning."""
+        ...
+
+    def lengths(self, dtype: Any) -> Float[Array, "corners corners"]:
+        """Return the distances between convex corners that see each other; ``inf`` for all other pairs."""
+        ...
+
+
+@jax.custom_jvp
+def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
+    """Return the distance of each corner to the goal, along straight segments between corners.
+
+    ``lengths[i, j]`` is the length of the segment between corners ``i`` and ``j``. ``straight[i]`` is the length of
+    the segment between corner ``i`` and the goal. Both are ``inf`` if the segment is not free.
+    """
+
+    # The Bellman-Ford algorithm, for all corners at once: a round extends paths by one corner.
+    def relaxed(state):
+        old, _ = state
+        new = jnp.minimum(old, jnp.min(lengths + old[None], axis=-1))
+        return new, jnp.any(new < old)
+
+    return lax.while_loop(lambda state: state[1], relaxed, (straight, jnp.array(True)))[0]
+
+
+@relax_from_seen.defjvp
+def _(primals, tangents):
+    total = relax_from_seen(*primals)
+    return total, _change_of_paths(*primals, total, *tangents)
+
+
+def _change_of_paths(
+    lengths: Float[Array, "corners corners"],
+    straight: Lengths,
+    total: Lengths,
+    change_of_lengths: Float[Array, "corners corners"],
+    change_of_straight: Lengths,
+) -> Lengths:
+    """Return the change of each distance ``total``, as ``relax_from_seen`` returns it, by the changes of segments."""
+    # Pointer doubling: `change` is the sum over the first 1, 2, 4, ... segments of each path, and `onward` the corner
+    # at their end. The goal is number `count`, whose path has no segments.
+    count = len(straight)
+    corner = jnp.arange(count)
+    following = jnp.argmin(lengths + total[None], axis=1)
+    is_last = straight <= total
+    change = jnp.append(jnp.where(is_last, change_of_straight, change_of_lengths[corner, following]), 0)
+    onward = jnp.append(jnp.where(is_last, count, following), count)
+    for _ in range(count.bit_length()):
+        change, onward = change + change[onward], onward[onward]
+    return jnp.where(jnp.isfinite(total), change[:-1], 0)
+
+
+@pytree
+class CornerPaths:
+    """Shortest paths to the nearest of several goals, by way of convex corners."""
+
+    corners: Any  # a CornerMap
+    distances: Float[Array, "*maps corners"]  # from convex corners to the nearest goal
+    goals: Float[Array, "*maps goals 2"]
+
+    @classmethod
+    def to_goals(cls, corners: CornerMap, goals: Float[Array, "goals 2"]) -> "CornerPaths":
+        ends, is_free = corners.placed(goals)
+        seen = corners.seen_from(ends) & is_free[:, None] & corners.is_convex[None]
+        straight = length_if_seen(seen, goals[:, None], corners.points(goals.dtype)[None]).T
+        straight = shortest(straight, jnp.zeros_like(straight))
+        return cls(corners, relax_from_seen(corners.lengths(goals.dtype), straight), goals)
+
+    def distance(self, x: Points) -> Float[Array, " n"]:
+        x = x.astype(jnp.promote_types(x.dtype, self.goals.dtype))
+        return self.distance_given_sight(x, self.corners.seen_from(self.corners.placed(x)[0]))
+
+    def distance_given_sight(self, x: Points, seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
+        """Return the distance of points that see the corners ``seen``.
+
+        It is the least length of the straight segments to goals, and of the paths through each visible corner.
+        """
+        goals = self.goals.astype(x.dtype)
+        (ends, is_free), (goal_ends, goal_is_free) = self.corners.placed(x), self.corners.placed(goals)
+        sees_goal = self.corners.see_each_other(ends[:, None], goal_ends[None]) & goal_is_free[None]
+        through = jnp.isfinite(self.distances)[None] & seen
+        to_goals = length_if_seen(sees_goal, x[:, None], goals[None])
+        to_corners = length_if_seen(through, x[:, None], self.corners.points(x.dtype)[None])
+        first = jnp.append(to_goals, to_corners, axis=1)
+        onward = jnp.append(jnp.zeros(len(goals), x.dtype), self.distances.astype(x.dtype))
+        value = shortest(first, jnp.broadcast_to(onward, first.shape))
+        return jnp.where(is_free, value, jnp.inf)
+
+
+@pytree
+class CornerPairs:
+    """Shortest paths between any two points, by way of convex corners."""
+
+    corners: Any  # a CornerMap
+    between: Float[Array, "*maps corners corners"]  # shortest paths between corners; 0 from a corner to itself
+
+    @classmethod
+    def of_map(cls, corners: CornerMap) -> "CornerPairs":
+        return cls(corners, _paths_between(corners.lengths(jnp.zeros(()).dtype)))
+
+    def distance(self, x: Points, y: Points) -> Float[Array, " n"]:
+        # The straight segment, or x -> first corner -> last corner -> y: `onward` is the way from each corner to y.
+        dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
+        x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
+        (x_ends, x_is_free), (y_ends, y_is_free) = self.corners.placed(x), self.corners.placed(y)
+        from_x = length_if_seen(self.corners.seen_from(x_ends), x[:, None], points)
+        from_y = length_if_seen(self.corners.seen_from(y_ends), y[:, None], points)
+        onward = shortest(from_y[:, None], self.between[None])
+        direct = length_if_seen(self.corners.see_each_other(x_ends, y_ends), x, y)[:, None]
+        value = shortest(jnp.append(direct, from_x, axis=1), jnp.append(jnp.zeros_like(direct), onward, axis=1))
+        return jnp.where(x_is_free & y_is_free & jnp.isfinite(value), value, jnp.inf)
+
+
+@jax.custom_jvp
+def _paths_between(lengths: Float[Array, "corners corners"]) -> Float[Array, "corners corners"]:
+    """Return the distances between all corners, given the lengths of segments between corners."""
+    # Floyd-Warshall algorithm
+    direct = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
+    return lax.fori_loop(0, len(direct), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), direct)
+
+
+@_paths_between.defjvp
+def _(primals, tangents):
+    # Column j has the distances to corner j, as to a goal that only corner j sees, at distance 0.
+    total = _paths_between(*primals)
+    straight = jnp.where(jnp.eye(len(total), dtype=bool), 0, jnp.inf)
+    change = jax.vmap(_change_of_paths, (None, 1, 1, None, 1), 1)
+    return total, change(*primals, straight, total, *tangents, jnp.zeros_like(straight))
+
+
+def length_if_seen(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
+    """Return the lengths of segments, ``inf`` unless ``seen``; the gradient is 0 where the ends coincide."""
+    squares = jnp.sum((a - b) ** 2, axis=-1)
+    length = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
+    return jnp.where(seen, length, jnp.inf)
+
+
+@jax.custom_jvp
+def shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
+    """Return the minimum of ``first + onward`` over the last axis; its gradient is that of one minimizing entry."""
+    return jnp.min(first + onward, axis=-1)
+
+
+@shortest.defjvp
+def _(primals, tangents):
+    first, onward = primals
+    total, change = first + onward, tangents[0] + tangents[1]
+    least = jnp.min(total, axis=-1)
+    # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
+    is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
+    minimizer = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
+    is_minimizer = jnp.arange(total.shape[-1]) == minimizer[..., None]
+    return shortest(*primals), jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)

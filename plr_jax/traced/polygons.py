@@ -1,0 +1,173 @@
+"""The corners of polygons whose vertices JAX may trace, and what is in sight among the polygons.
+
+Points that touch a wall, corners among them, are first moved into free space, to a small distance from the wall, the
+*margin*. A segment between moved points is free if it crosses no edge. So a segment that grazes a corner may count as
+blocked; the path that bends at this corner is equally long.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from plr_jax._compiled import pytree
+from plr_jax.traced.corner_paths import Broadcast, length_if_seen
+
+Points = Float[Array, "n 2"]
+Edges = Float[Array, "edges 2"]
+# The margin, and the thickness of walls, in machine epsilons of the largest coordinate. Rounding moves a segment by
+# about 4 of them.
+_MARGIN = 32
+_WALL = 4
+_SHARPEST = 1 / 64  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
+_ROUNDS = 3  # a point near several walls is moved away from one wall after another
+_EDGES = 16  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
+
+
+@pytree
+class PolygonCorners:
+    """The corners of polygons, made by :meth:`of_polygons`."""
+
+    vertices: Float[Array, "*maps m k 2"]  # counterclockwise; padding repeats another vertex of its polygon
+    offsets: Float[Array, "*maps m k 2"]  # from each vertex to a point outside its polygon, at the margin from its sides
+    is_convex: Bool[Array, "*maps corners"]  # and not inside another polygon or beyond the bounds
+    bounds: Float[Array, "*maps 2 2"]  # lower and upper corner
+    margin: Float[Array, "*maps"]
+
+    @classmethod
+    def of_polygons(cls, polygons: Float[Array, "m k 2"], bounds: Float[Array, "2 2"]) -> "PolygonCorners":
+        """Find the corners of polygons, ``(m, k, 2)``, within bounds. Rows of NaN are padding."""
+        # 1. Let padding repeat the vertex before it, and let all polygons run counterclockwise.
+        k = polygons.shape[1]
+        steps = (np.arange(k) - np.arange(k)[:, None]) % k  # from vertex i to vertex j
+        is_vertex = ~jnp.isnan(polygons).any(axis=2)
+        last = jnp.argmin(jnp.where(is_vertex[:, None], -steps % k, k), axis=2)
+        vertices = jnp.take_along_axis(polygons, last[..., None], axis=1)
+        vertices = jnp.where(is_vertex.any(axis=1)[:, None, None], vertices, 0)  # 0 in a polygon of padding alone
+        area = _cross(vertices, jnp.roll(vertices, -1, axis=1)).sum(axis=1)
+        vertices = jnp.where(area[:, None, None] < 0, vertices[:, ::-1], vertices)
+        # 2. Find the directions of the sides that meet at each vertex, past equal vertices.
+        #    previous --- before ---> vertex --- after ---> next
+        fixed = lax.stop_gradient(vertices)
+        differs = (fixed[:, :, None] != fixed[:, None]).any(axis=3)
+        ends = [jnp.argmin(jnp.where(differs, each, k), axis=2)[..., None] for each in (-steps % k, steps)]
+        before = _unit(fixed - jnp.take_along_axis(fixed, ends[0], axis=1))
+        after = _unit(jnp.take_along_axis(fixed, ends[1], axis=1) - fixed)
+        # 3. Move each vertex outward along its bisector: the sum of the sides' normals and, for sharp corners, the
+        #    difference of the sides.
+        normals, turn = _normals(before + after), _cross(before, after)
+        sides = jnp.where(turn[..., None] < 0, after - before, before - after)
+        eps = jnp.finfo(fixed.dtype).eps
+        margin = _MARGIN * eps * jnp.abs(fixed).max()
+        offsets = margin * _unit(normals + sides) / jnp.maximum(_length(normals) / 2, _SHARPEST)[..., None]
+        # 4. Paths can bend at the first of equal vertices, if they turn left there and paths can get there.
+        is_first = differs[:, np.arange(k), np.arange(k) - 1]
+        is_convex = (is_first & (turn > -_MARGIN * eps)).ravel()
+        corners = cls(vertices, offsets, is_convex, bounds, margin)
+        ends = corners._ends()
+        return replace(corners, is_convex=is_convex & ~corners._are_inside(ends) & corners._are_in_bounds(ends))
+
+    def points(self, dtype: Any) -> Float[Array, "corners 2"]:
+        return self.vertices.reshape(-1, 2).astype(dtype)
+
+    def placed(self, x: Points) -> tuple[Points, Bool[Array, " n"]]:
+        """Move points near walls to the margin; return the points, and whether each given point is free."""
+        x = lax.stop_gradient(x)
+        end, distance = self._moved_from_wall(x)
+        for _ in range(_ROUNDS - 1):
+            end, _ = self._moved_from_wall(end)
+        # On a wall, the moved point says what is free: the wall may be a side of two polygons that touch.
+        is_blocked = self._are_inside(end)
+        is_free = ~jnp.where(distance <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
+        return jnp.where(is_blocked[:, None], x, end), is_free & self._are_in_bounds(x)
+
+    def see_each_other(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
+        # A segment from a to b crosses an edge if the edge's ends are on different sides of it, and a and b on
+        # different sides of the edge. Ends on the line of the segment count as on its right.
+        (ax, ay), (bx, by) = _columns(a), _columns(b)
+        dx, dy = bx - ax, by - ay
+
+        def is_left(x, y):
+            return dx * (y - by) > dy * (x - bx)
+
+        def hits_also(hit, edges):
+            for (x0, y0), (x1, y1) in zip(*edges, strict=True):
+                a_is_left, b_is_left = ((x1 - x0) * (y - y0) > (y1 - y0) * (x - x0) for x, y in ((ax, ay), (bx, by)))
+                hit |= (is_left(x0, y0) != is_left(x1, y1)) & (a_is_left != b_is_left)
+            return hit, None
+
+        edges = self._edges(dx.dtype)
+        num_passes = -(-len(edges[0]) // _EDGES)
+        padded = [jnp.pad(each, ((0, -len(each) % num_passes), (0, 0))) for each in edges]
+        passes = [each.reshape(num_passes, -1, 2) for each in padded]
+        return ~lax.scan(hits_also, jnp.zeros(dx.shape, bool), passes)[0]
+
+    def seen_from(self, ends: Points) -> Bool[Array, "n corners"]:
+        return self.see_each_other(ends[:, None], self._ends()[None]) & self.is_convex[None]
+
+    def lengths(self, dtype: Any) -> Float[Array, "corners corners"]:
+        seen = self.seen_from(self._ends()) & self.is_convex[:, None]
+        points = self.points(dtype)
+        lengths = length_if_seen(seen, points[:, None], points[None])
+        return jnp.where(lengths > self.margin, lengths, jnp.inf)  # corners of two polygons may be equal
+
+    def _ends(self) -> Float[Array, "corners 2"]:
+        return lax.stop_gradient(self.vertices + self.offsets).reshape(-1, 2)
+
+    def _edges(self, dtype: Any) -> tuple[Edges, Edges]:
+        vertices = lax.stop_gradient(self.vertices).astype(dtype)
+        return vertices.reshape(-1, 2), jnp.roll(vertices, -1, axis=1).reshape(-1, 2)
+
+    def _are_in_bounds(self, x: Points) -> Bool[Array, " n"]:
+        return ((self.bounds[:1] <= x) & (x <= self.bounds[1:])).all(axis=1)
+
+    def _are_inside(self, x: Points) -> Bool[Array, " n"]:
+        # Return whether points are inside a polygon: a ray to the right crosses an odd number of its edges.
+        (x0, y0), (x1, y1) = (_columns(each[None]) for each in self._edges(x.dtype))
+        x, y = _columns(x[:, None])
+        is_ahead = ((x1 - x0) * (y - y0) > (y1 - y0) * (x - x0)) == (y1 > y0)
+        crosses = ((y0 > y) != (y1 > y)) & is_ahead
+        return (crosses.reshape(len(x), *self.vertices.shape[:2]).sum(axis=2) % 2 == 1).any(axis=1)
+
+    def _moved_from_wall(self, x: Points) -> tuple[Points, Float[Array, " n"]]:
+        # Return each point, moved to the margin if it is closer to the nearest wall, and its distance before.
+        start, end = self._edges(x.dtype)
+        side, x = (end - start)[None], x[:, None]
+        square = (side**2).sum(axis=2)
+        share = ((x - start[None]) * side).sum(axis=2) / jnp.where(square > 0, square, 1)
+        foot = start[None] + jnp.clip(share, 0, 1)[..., None] * side
+        distance = _length(x - foot)
+        edge = distance.argmin(axis=1)
+        distance, foot = distance.min(axis=1), foot[jnp.arange(len(x)), edge]
+        moved = foot + self.margin * _normals(_unit(side[0]))[edge]
+        # Near an end of the wall, move to the point that is outside of both walls there.
+        k = self.vertices.shape[1]
+        for vertex in (edge, edge // k * k + (edge + 1) % k):
+            is_near = _length(foot - start[vertex]) <= self.margin
+            moved = jnp.where(is_near[:, None], self._ends().astype(x.dtype)[vertex], moved)
+        return jnp.where((distance < self.margin)[:, None], moved, x[:, 0]), distance
+
+
+def _columns(points: Float[Array, "*batch 2"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    return points[..., 0], points[..., 1]
+
+
+def _cross(a: Float[Array, "*batch 2"], b: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _length(vectors: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    return jnp.hypot(vectors[..., 0], vectors[..., 1])
+
+
+def _unit(vectors: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    length = _length(vectors)[..., None]
+    return vectors / jnp.where(length > 0, length, 1)
+
+
+def _normals(sides: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    """Turn vectors to their right by 90 degrees: outward from sides that run counterclockwise."""
+    return jnp.stack([sides[..., 1], -sides[..., 0]], axis=-1)
