@@ -20,9 +20,11 @@ Points = Float[Array, "n 2"]
 Edges = Float[Array, "edges 2"]
 # The margin, and the thickness of walls, in machine epsilons of the largest coordinate. Rounding moves a segment by
 # about 4 of them.
-_MARGIN = 32
+_MARGIN = 8
 _WALL = 4
-_SHARPEST = 1 / 64  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
+_SHARPEST = (
+    1 / 64
+)  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
 _ROUNDS = 3  # a point near several walls is moved away from one wall after another
 _EDGES = 16  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
 
@@ -32,7 +34,9 @@ class PolygonCorners:
     """The corners of polygons, made by :meth:`of_polygons`."""
 
     vertices: Float[Array, "*maps m k 2"]  # counterclockwise; padding repeats another vertex of its polygon
-    offsets: Float[Array, "*maps m k 2"]  # from each vertex to a point outside its polygon, at the margin from its sides
+    offsets: Float[
+        Array, "*maps m k 2"
+    ]  # from each vertex to a point outside its polygon, at the margin from its sides
     is_convex: Bool[Array, "*maps corners"]  # and not inside another polygon or beyond the bounds
     bounds: Float[Array, "*maps 2 2"]  # lower and upper corner
     margin: Float[Array, "*maps"]
