@@ -160,14 +160,17 @@ def plot_contours(
     is_free = _free_points(points, shown, workspace, space)
     # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
     goals: Any = None
-    cut_off = []
+    cut_off: Any = []
     if goal is not None:
         given = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
         goals = plr.domain.wrapped(np.reshape(given, (-1, plr.domain.dim)))[:, list(shown.axes)]
         if workspace is not None:
-            reached, cut_off = _split_by_reachability(workspace, goals)
-            if cut_off:
-                is_free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
+            parts = shapely.get_parts(workspace.free_space)
+            is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
+            if is_reached.any() and not is_reached.all():  # if no goal is in free space, nothing is cut off
+                cut_off = parts[~is_reached]
+                reached = shapely.MultiPolygon(list(parts[is_reached]))
+                is_free &= shapely.intersects_xy(reached, points[..., 0], points[..., 1])
     # 3. Draw values. Those inside obstacles are covered later, so that colors reach the walls; they do not affect the
     #    color scale.
     free_values = values[is_free]
@@ -281,18 +284,6 @@ def _free_points(
     if workspace is not None:
         return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
     return np.ones(points.shape[:2], bool) if space is None else space.is_free(flat).reshape(points.shape[:2])
-
-
-def _split_by_reachability(
-    workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
-) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into the polygons from which a goal can be reached, and the other polygons.
-
-    If no goal is in free space, all polygons count as reached.
-    """
-    parts = shapely.get_parts(workspace.free_space)
-    is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
-    return (list(parts[is_reached]), list(parts[~is_reached])) if is_reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:
