@@ -13,9 +13,9 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import require_time
+from plr_jax._arrays import ragged_indices, require_time
 from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 from plr_jax.robots import Robot, shorter_turn
 
@@ -51,11 +51,15 @@ class MovingBodies(NamedTuple):
     def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
-    def bisected(self) -> "MovingBodies":
-        """Return both halves of each motion, in adjacent columns, each slowed down to take one unit of time."""
-        half = [0.5 * rate for rate in self[4:]]
-        pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
-        return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
+    def divided(self, count: Int[np.ndarray, " n"]) -> tuple["MovingBodies", Int[np.ndarray, " parts"]]:
+        """Divide each motion into ``count`` equal parts; return the parts, and the index of each part's motion.
+
+        The parts of a motion are in adjacent columns, and each is slowed down to take one unit of time.
+        """
+        motion, step = ragged_indices(count)
+        whole, fraction = self.take(motion), 1 / count[motion]
+        pose = [q + step / count[motion] * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
+        return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), motion
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
@@ -101,8 +105,9 @@ def bisect(
         if bisections == _MAX_BISECTIONS:
             apart[pair[unsure]] = False
         elif unsure.any():
-            halves = a.take(unsure).bisected(), b.take(unsure).bisected()
-            waiting.append((*halves, np.repeat(pair[unsure], 2), bisections + 1))
+            two = np.full(np.count_nonzero(unsure), 2)
+            (halves_a, index), (halves_b, _) = (body.take(unsure).divided(two) for body in (a, b))
+            waiting.append((halves_a, halves_b, pair[unsure][index], bisections + 1))
     return apart
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
+from plr_jax._arrays import parts, require_time, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -71,8 +71,11 @@ class MotionTest:
         wall. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
         # Clearances at the centers of grid cells decide most motions. The other motions are tested against walls.
-        pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
-        # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).
+        # 1. Cut each motion into equal pieces no longer than `_longest`. Bound the clearance from below on each piece
+        #    and, in its middle (x, y), from above.
+        whole = moving_bodies(self.robot, q0, q1)
+        num_pieces = np.ceil(np.hypot(whole.dx, whole.dy) / self._longest)
+        pieces, motion = whole.divided(np.maximum(num_pieces, 1).astype(np.intp))
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
         cell, from_center = self._locate(x, y)
@@ -207,17 +210,3 @@ _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
-
-
-def _cut_into_pieces(
-    robot: Robot, q0: Configurations, q1: Configurations, longest: float
-) -> tuple[MovingBodies, Int[np.ndarray, " m"]]:
-    """Cut each motion into equal parts no longer than ``longest``; return all parts, and the index of each motion."""
-    # Fields of `whole`: the size, then the pose (x, y, theta) at the begin, then its rate of change.
-    whole = moving_bodies(robot, q0, q1)
-    count = np.maximum(np.ceil(np.hypot(whole.dx, whole.dy) / longest), 1).astype(np.intp)
-    motion, step = ragged_indices(count)
-    begin, fraction = step / count[motion], 1 / count[motion]
-    whole = whole.take(motion)
-    pose = [q + begin * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
-    return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), motion
