@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -157,7 +157,11 @@ def plot_contours(
     # 1. Evaluate a grid of points.
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
-    is_free = _free_points(points, shown, workspace, space)
+    is_free = np.ones(points.shape[:2], bool)
+    if workspace is not None:
+        is_free = workspace.is_free(points[..., :2].reshape(-1, 2)).reshape(is_free.shape)
+    elif space is not None:
+        is_free = space.is_free(points.reshape(-1, shown.domain.dim)).reshape(is_free.shape)
     # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
     goals: Any = None
     cut_off: Any = []
@@ -274,16 +278,6 @@ def _require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest
         raise ValueError("Expected either a workspace or a space, got both: leave one out.")
     if space is not None and space.domain.dim != shown.domain.dim:
         raise ValueError(f"Expected a space of {shown.domain.dim} dimensions, got {space.domain.dim}.")
-
-
-def _free_points(
-    points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
-) -> Bool[np.ndarray, "rows columns"]:
-    """Return which points of a slice are free in the workspace or the space; all are free if neither is given."""
-    flat = points.reshape(-1, shown.domain.dim)
-    if workspace is not None:
-        return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
-    return np.ones(points.shape[:2], bool) if space is None else space.is_free(flat).reshape(points.shape[:2])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:
