@@ -150,7 +150,7 @@ def build(
     for warning in caught:
         warn(str(warning.message))
 
-    # 3. Report the proven error, and that at points of another seed than the samples to which leaves are fitted.
+    # 3. Report the proven error, and the error at points of another seed than the samples to which leaves are fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
     report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
     proven = plr.max_error
