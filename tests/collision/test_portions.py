@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
 from plr_jax import _arrays
-from plr_jax.collision import bodies, motions, walls
+from plr_jax.collision import bodies, walls
 from plr_jax.collision.motions import JointMotionTest, motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry import workspace as workspaces
@@ -47,7 +47,7 @@ def test_bisection_limits_corner_pairs_per_call(corners, reach):
 
     def undecided(a, b, reach):
         sizes.append(len(a.x) * (corners * corners if reach > 0 else corners + corners))
-        return np.zeros(len(a.x), dtype=bool), np.zeros(len(a.x), dtype=bool)
+        return np.full(len(a.x), -np.inf), np.full(len(a.x), np.inf)
 
     body = bodies.moving_bodies(BAR, *random_columns(3)).with_size(np.zeros((2, corners)))
     assert not bodies.bisect(undecided, body, body, reach).any()
@@ -61,8 +61,7 @@ def test_pairs_in_portions_equal_one_call(robots, monkeypatch):
     whole = motions_apart(*moves, 1e-9)
     row = motions_apart(robots[0], a0[3:4], a1[3:4], robots[1], b0, b1, 1e-9)
     np.testing.assert_array_equal(row, whole[3])
-    for module, name, value in ((bodies, "_CORNERS", 20), (motions, "_CHUNK_PAIRS", 7), (motions, "_MOST", 70)):
-        monkeypatch.setattr(module, name, value)
+    monkeypatch.setattr(bodies, "_CORNERS", 20)
     np.testing.assert_array_equal(motions_apart(*moves, 1e-9), whole)
     assert 0 < whole.mean() < 1
 
@@ -71,7 +70,7 @@ def test_pairs_in_portions_equal_one_call(robots, monkeypatch):
 def test_walls_in_portions_equal_one_call(robot, monkeypatch):
     q0, q1 = random_columns(150)
     whole = MotionTest(ROOM, robot)(q0, q1)
-    for module, name, value in ((walls, "_PAIRS", 5), (walls, "_CENTERS", 60), (bodies, "_CORNERS", 20)):
+    for module, name, value in ((walls, "_PAIRS", 5), (bodies, "_CORNERS", 20)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(MotionTest(ROOM, robot)(q0, q1), whole)
     assert 0 < whole.mean() < 1
@@ -104,9 +103,10 @@ def test_bisection_ends_at_deadline(monkeypatch):
     clock = iter(range(1000))
     monkeypatch.setattr(_arrays.time, "perf_counter", lambda: next(clock))
     body = bodies.moving_bodies(BAR, *random_columns(20)).with_size(np.zeros((2, 4)))
-    never = np.zeros(20, dtype=bool)
     with pytest.raises(TimeoutError):
-        bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
+        bodies.bisect(
+            lambda a, b, reach: (np.full(len(a.x), -np.inf), np.full(len(a.x), np.inf)), body, body, -1e-9, deadline=5
+        )
     assert next(clock) == 7  # six judgements were begun at most
 
 
