@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import ragged_indices, require_time
-from plr_jax.geometry.vectors import nearest_on_segment
+from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 from plr_jax.robots import Robot, shorter_turn
 
 _MAX_BISECTIONS = 12  # of a motion, which divide the bulge by 4**12
@@ -269,6 +269,22 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
     return gap, separation
 
 
+def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
+    """Return the gaps between pairs of a box ``a`` and a point ``b``, for :func:`bisect`."""
+    # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
+    ends, distances = [], []
+    for end in (0.0, 1.0):
+        (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
+        u, v = c * x + s * y, c * y - s * x
+        ends += [u, v]
+        beside, above = np.abs(u) - a.size[0], np.abs(v) - a.size[1]
+        outside = np.hypot(np.maximum(beside, 0), np.maximum(above, 0))
+        distances.append(outside + np.minimum(np.maximum(beside, above), 0))  # from the box, negative inside
+    bulge, _ = rotation_bounds(a, b, *b.size)  # the point's radius is 0
+    nearer = np.minimum(*distances)
+    return np.minimum(nearer, _distance_of_chord(*ends, *a.size)) - bulge, nearer
+
+
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
     # Offsets of the centers, and sums of half extents, along both axes of ``a``, then of ``b``.
     # ``at_a`` and ``at_b`` are cosine and sine of the headings. An axis at the angle t from the length of a box meets
@@ -286,3 +302,22 @@ def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at
 def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Column:
     (c, s), (half_length, half_width) = heading, body.size
     return half_length * np.abs(c * nx + s * ny) + half_width * np.abs(c * ny - s * nx)
+
+
+def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
+    """Return the distance from each segment to the nearest corner of a box around the origin.
+
+    The segment leads from ``(x0, y0)`` to ``(x1, y1)``; the box has the half sides ``half_x`` and ``half_y``. If the
+    segment and the box overlap, return minus the depth of the overlap.
+    """
+    # The distance to the box is the minimum of this and of the distances from the segment's ends to the box.
+    dx, dy = x1 - x0, y1 - y0
+    corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
+    length = np.hypot(dx, dy)
+    # The gaps between segment and box along the segment's normal and along the box's axes (separating axis theorem).
+    across = np.abs(x0 * dy - y0 * dx) - half_x * np.abs(dy) - half_y * np.abs(dx)
+    across = np.divide(across, length, out=np.full_like(length, -np.inf), where=length > 0)
+    beside_x = np.maximum(np.minimum(x0, x1), -np.maximum(x0, x1)) - half_x
+    beside_y = np.maximum(np.minimum(y0, y1), -np.maximum(y0, y1)) - half_y
+    separation = np.maximum(np.maximum(beside_x, beside_y), across)
+    return np.where(separation > 0, np.min(corners, axis=0), separation)

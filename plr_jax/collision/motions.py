@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import require_time
-from plr_jax.collision.bodies import bisect, box_separation, convex_separation, moving_bodies
+from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -150,16 +150,18 @@ def motions_apart(
         return apart
     where = np.nonzero(~apart & (distance >= inner - tolerance))
     # 2. Choose the fastest kernel that applies to both robots, and the sizes that it expects. Half sides are None if
-    #    the robot's core is no box around its reference point.
+    #    the robot's core is no box around its reference point, and 0 if the core is a point.
     reach = robot_a.rounding + robot_b.rounding - tolerance
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
     kernel, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
-    if half_a is not None and half_b is not None and reach <= 0:
-        kernel, size_a, size_b = box_separation, half_a, half_b
+    if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
+        kernel = box_separation if half_a.any() and half_b.any() else box_point_separation
+        size_a, size_b = half_a, half_b
+    is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
     # 3. Test the undecided pairs exactly.
     qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[where] for q in (a0, a1, b0, b1))
     a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
-    apart[where] = bisect(kernel, a, b, reach, deadline)
+    apart[where] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)
     return apart
 
 
