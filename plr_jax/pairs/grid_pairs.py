@@ -5,6 +5,7 @@ import struct
 import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -79,18 +80,12 @@ class DistanceToCell:
     tables: GridTables
     goal: Int[Array, "2"]  # row and column of the cell
     from_goal: Int32[Array, " corners"]  # lengths of shortest paths to the corners of obstacles, in units
-
-    @property
-    def dim(self) -> int:
-        return 2
+    dim: ClassVar[int] = 2
+    is_lower_bound: ClassVar[bool] = True
 
     @property
     def domain(self) -> Box:
         return Box((0, 0), self.tables.shape[::-1])
-
-    @property
-    def is_lower_bound(self) -> bool:
-        return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Return distances ``(...)`` in steps from the cells of points ``(..., 2)`` to the goal cell.
