@@ -21,6 +21,7 @@ from plr_jax.robots import Robot
 
 # Batches:
 _PAIRS = 1 << 17  # pairs of pieces and edges at a time, between two checks of the clock
+_CENTERS = 1 << 13  # cells at a time while the grid is built, between two checks of the clock
 _EDGES_PER_POINT = 128  # estimated work for a point, in pairs; its visibility is tested among all edges
 # The grid:
 _CELLS = (64, 256)  # fewest and most cells along the longer side
@@ -51,12 +52,17 @@ class MotionTest:
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
         # 3. Compute the clearance at each center, and the edges within reach: cell i has the edges
         #    _edge[_first[i] : _first[i + 1]].
-        require_time(deadline, _PURPOSE)
-        points = np.asarray(shapely.points(centers))
-        near, edge = workspace.edge_tree.query(points, predicate="dwithin", distance=reach)
-        self._edge = edge[np.argsort(near, kind="stable")].astype(np.int32)
-        self._first = np.append(0, np.cumsum(np.bincount(near, minlength=len(centers))))
-        self._clearance = workspace.clearance(centers)
+        counts, edges, clearance = [], [], []
+        for begin in range(0, len(centers), _CENTERS):
+            require_time(deadline, _PURPOSE)
+            part = centers[begin : begin + _CENTERS]
+            points = np.asarray(shapely.points(part))
+            near, edge = workspace.edge_tree.query(points, predicate="dwithin", distance=reach)
+            edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
+            counts.append(np.bincount(near, minlength=len(part)))
+            clearance.append(workspace.clearance(part))
+        self._first, self._edge = np.append(0, np.cumsum(np.concatenate(counts))), np.concatenate(edges)
+        self._clearance = np.concatenate(clearance)
 
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
         """Return whether motions between finite configurations are collision-free, up to ``workspace.tolerance``.

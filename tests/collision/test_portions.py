@@ -70,7 +70,7 @@ def test_pairs_in_portions_equal_one_call(robots, monkeypatch):
 def test_walls_in_portions_equal_one_call(robot, monkeypatch):
     q0, q1 = random_columns(150)
     whole = MotionTest(ROOM, robot)(q0, q1)
-    for module, name, value in ((walls, "_PAIRS", 5), (bodies, "_CORNERS", 20)):
+    for module, name, value in ((walls, "_PAIRS", 5), (walls, "_CENTERS", 60), (bodies, "_CORNERS", 20)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(MotionTest(ROOM, robot)(q0, q1), whole)
     assert 0 < whole.mean() < 1
