@@ -17,7 +17,7 @@ import time
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 from scipy.stats import mannwhitneyu
 from tqdm import tqdm
@@ -26,7 +26,6 @@ from experiments._measures import columns
 from experiments._planning import HEURISTICS, PLR_BYTES, SCENES, SMOKE_BYTES, build
 from experiments._runner import run
 from plr_jax import HeuristicFn, Problem, exact_lower_bound, path_cost, validate
-from plr_jax._types import JointConfigurations
 from plr_jax.collision.motions import JointMotionTest
 
 NAMES = ("single door", "four rooms 2", "cross 2")
@@ -46,7 +45,7 @@ class Search:
     def __init__(self, problem: Problem, heuristic: HeuristicFn, seed: int, max_vertices: int):
         self.problem, self.heuristic, self.max_vertices = problem, heuristic, max_vertices
         self.rng = np.random.default_rng(seed)
-        self.test = JointMotionTest(problem.workspace, problem.robots)
+        self.is_free_motion = JointMotionTest(problem.workspace, problem.robots)
         self.radius = RADIUS * float(problem.workspace.bounds.width.max()) * np.sqrt(len(problem.robots))
         capacity = max_vertices + NUM_EXPANDED * NUM_SAMPLES
         self.q = np.zeros((capacity, *problem.starts.shape))
@@ -66,15 +65,6 @@ class Search:
                 return self._path_to_goals(sees[np.argmin(self.cost[sees] + lengths(self.q[sees], goals))])
             new = self.expand()
         return None
-
-    def is_free_motion(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, " n"]:
-        """Return whether the whole team moves from ``q0[i]`` to ``q1[i]`` without a collision."""
-        free = np.ones(len(q0), dtype=bool)
-        for i, wall_test in enumerate(self.test.wall_tests):
-            free[free] = wall_test(q0[free, i], q1[free, i])
-        for i, j in itertools.combinations(range(q0.shape[1]), 2):
-            free[free] = self.test.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
-        return free
 
     def _path_to_goals(self, row: int) -> Float[np.ndarray, "steps robots 2"]:
         path = [self.problem.goals]

@@ -220,9 +220,7 @@ def sampled_clearance(problem, path, num_samples=201):
 def test_random_motions_agree_with_samples_and_planner(one, other):
     rng = np.random.default_rng(8)
     q0, q1 = (q.reshape(30, 2, 3) for q in random_motions(rng, 60, 4.0, 0.3, 0.6))
-    planner = JointMotionTest(ROOM, (one, other)).apart(0, q0[:, 0], q1[:, 0], 1, q0[:, 1], q1[:, 1])
-    for i, robot in enumerate((one, other)):
-        planner &= MotionTest(ROOM, robot)(q0[:, i], q1[:, i])
+    planner = JointMotionTest(ROOM, (one, other))(q0, q1)
     solved = 0
     for a, b, free in zip(q0, q1, planner, strict=True):
         try:

@@ -8,12 +8,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import require_time
+from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry.vectors import distance_to_segment
@@ -21,6 +23,8 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot
 
 _CHUNK = 1 << 13  # distances of circles at a time, so that temporaries stay in the processor's cache
+_MOST = 1 << 18  # pairs of motions whose circles are compared at a time
+_CHUNK_PAIRS = 1 << 13  # pairs of motions tested exactly at a time
 OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
 OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
@@ -139,7 +143,18 @@ def motions_apart(
     ``TimeoutError`` is raised if the ``deadline``, a time of ``time.perf_counter``, passes.
     """
     require_time(deadline, "all motions were tested")
-    # 1. Compare the least distance of the reference points with the circumscribed and the inscribed radii.
+    # 1. Divide large batches along their first axis.
+    motions = a0, a1, b0, b1
+    batch = np.broadcast(*(q[..., 0] for q in motions))
+    if batch.size > _MOST and batch.shape[0] > 1:
+        size = max(1, _MOST * batch.shape[0] // batch.size)
+        apart = np.empty(batch.shape, dtype=bool)
+        for begin in range(0, batch.shape[0], size):
+            rows = slice(begin, begin + size)
+            a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
+            apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
+        return apart
+    # 2. Compare the least distance of the reference points with the circumscribed and the inscribed radii.
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
     dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
     distance = np.asarray(distance_to_segment(x, y, dx, dy))
@@ -149,7 +164,7 @@ def motions_apart(
     if inner == outer:  # two discs or points
         return apart
     where = np.nonzero(~apart & (distance >= inner - tolerance))
-    # 2. Choose the fastest kernel that applies to both robots, and the sizes that it expects. Half sides are None if
+    # 3. Choose the fastest kernel that applies to both robots, and the sizes that it expects. Half sides are None if
     #    the robot's core is no box around its reference point, and 0 if the core is a point.
     reach = robot_a.rounding + robot_b.rounding - tolerance
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
@@ -158,16 +173,18 @@ def motions_apart(
         kernel = box_separation if half_a.any() and half_b.any() else box_point_separation
         size_a, size_b = half_a, half_b
     is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
-    # 3. Test the undecided pairs exactly.
-    qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[where] for q in (a0, a1, b0, b1))
-    a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
-    apart[where] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)
+    # 4. Test the undecided pairs exactly.
+    for begin in range(0, len(where[0]), _CHUNK_PAIRS):
+        rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
+        qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
+        a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
+        apart[rows] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)
     return apart
 
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """Tests, with a deadline, whether the robots of a team move straight without hitting obstacles or one another."""
+    """A test, with a deadline, whether a whole team moves straight without hitting obstacles or one another."""
 
     workspace: Workspace
     robots: Sequence[Robot]
@@ -182,6 +199,14 @@ class JointMotionTest:
         """For each robot, the lowest index of a robot that equals it."""
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
+
+    def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, " n"]:
+        free = np.ones(len(q0), dtype=bool)
+        for i, test in enumerate(self.wall_tests):
+            free[free] = test(q0[free, i], q1[free, i], self.deadline)
+        for i, j in combinations(range(len(self.robots)), 2):
+            free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
+        return free
 
     def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)

@@ -1,14 +1,15 @@
 """Collisions of robots that move: motions of two robots, of teams, and of robots beside a team's path."""
 
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 import pytest
 import shapely
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, random_motions, sampled_distance
 
-from plr_jax import DiscRobot, RectangleRobot, Workspace
+from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
 from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles, motions_apart, within_reach
+from plr_jax.collision.walls import MotionTest
 
 TOLERANCE = 1e-9
 CORNER = BAR.circumscribed_radius
@@ -83,6 +84,24 @@ def test_pair_verdicts_agree_with_dense_samples(robot_a, robot_b):
 # Teams
 
 WORKSPACE = Workspace(((0, 0), (6, 6)), [shapely.box(2.5, 2.5, 3.5, 3.5)])
+MOVERS = [DiscRobot(0.4), RectangleRobot(1.2, 0.4), PointRobot()]
+TEST = JointMotionTest(WORKSPACE, MOVERS)
+
+
+def test_joint_motion_is_free_if_all_robots_and_pairs_are():
+    rng = np.random.default_rng(0)
+    ends = zip(*(random_motions(rng, 600, 6.0, 0.8, 0.5) for _ in MOVERS), strict=True)
+    q0, q1 = (np.stack(q, axis=1) for q in ends)
+    expected = np.ones(len(q0), dtype=bool)
+    for i, robot in enumerate(MOVERS):
+        expected &= MotionTest(WORKSPACE, robot)(q0[:, i], q1[:, i])
+    alone = expected.copy()
+    for i, j in combinations(range(len(MOVERS)), 2):
+        expected &= motions_apart(MOVERS[i], q0[:, i], q1[:, i], MOVERS[j], q0[:, j], q1[:, j], TOLERANCE)
+    np.testing.assert_array_equal(TEST(q0, q1), expected)
+    assert 10 < expected.sum() < alone.sum() - 10
+
+
 CROWD = [POINT, DISC, BAR, WING, PEBBLE, DiscRobot(0.1), DISC, POINT, RectangleRobot(0.9, 0.3), WING]
 CROWD_TEST = JointMotionTest(WORKSPACE, CROWD)
 

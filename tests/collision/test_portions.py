@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, random_motions
 
 from plr_jax import _arrays
-from plr_jax.collision import bodies, walls
+from plr_jax.collision import bodies, motions, walls
 from plr_jax.collision.motions import JointMotionTest, motions_apart
 from plr_jax.collision.walls import MotionTest, motion_test
 from plr_jax.geometry import workspace as workspaces
@@ -61,7 +61,8 @@ def test_pairs_in_portions_equal_one_call(robots, monkeypatch):
     whole = motions_apart(*moves, 1e-9)
     row = motions_apart(robots[0], a0[3:4], a1[3:4], robots[1], b0, b1, 1e-9)
     np.testing.assert_array_equal(row, whole[3])
-    monkeypatch.setattr(bodies, "_CORNERS", 20)
+    for module, name, value in ((bodies, "_CORNERS", 20), (motions, "_CHUNK_PAIRS", 7), (motions, "_MOST", 70)):
+        monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(motions_apart(*moves, 1e-9), whole)
     assert 0 < whole.mean() < 1
 
