@@ -20,6 +20,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot
 
 # Batches:
+_CHUNK = 1 << 14  # motions at a time, which bounds the memory
 _PAIRS = 1 << 17  # pairs of pieces and edges at a time, between two checks of the clock
 _CENTERS = 1 << 13  # cells at a time while the grid is built, between two checks of the clock
 _EDGES_PER_POINT = 128  # estimated work for a point, in pairs; its visibility is tested among all edges
@@ -70,6 +71,9 @@ class MotionTest:
         The result is exact, with one exception: it may be False if a robot turns within about 1e-7 of its size from a
         wall. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
+        if len(q0) > _CHUNK:
+            chunks = (slice(begin, begin + _CHUNK) for begin in range(0, len(q0), _CHUNK))
+            return np.concatenate([self(q0[rows], q1[rows], deadline) for rows in chunks])
         # Clearances at the centers of grid cells decide most motions. The other motions are tested against walls.
         # 1. Cut each motion into equal pieces no longer than `_longest`. Bound the clearance from below on each piece
         #    and, in its middle (x, y), from above.
