@@ -16,7 +16,9 @@ from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
 
-_CHUNK = 64  # edges whose colliding edges are found at a time, so that temporaries fit into the processor's cache
+# Tests of colliding edges; what is tested at a time fits into the processor's cache:
+_CHUNK = 256  # most edges at a time
+_PAIRS = 1 << 13  # pairs of edges at a time, about
 # Memory:
 _ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without the colliding edges
 _EDGE_BYTES = 2  # bytes of an edge, per step
@@ -41,6 +43,7 @@ class ReservationTable:
         self.memory_use.add(num_bytes_of_table(joint, len(state)))
         self._costs_to_come: dict[int, np.ndarray] = {}
         self._colliding_edges: defaultdict[tuple[int, int], dict[int, Edges]] = defaultdict(dict)  # by pair of kinds
+        self._chunk = defaultdict(lambda: 1)  # by pair of kinds: edges tested at a time, adapted to their neighbors
         self.kind = [self.kinds.index(lattice.kind) for lattice in joint.lattices]  # of each robot, as an index
         # Counts of robots by step and edge, for each kind. -1 is added to undo reservations, so the type is signed;
         # it has room for twice as many robots.
@@ -86,13 +89,15 @@ class ReservationTable:
             require_time(self.budget.deadline, "all collisions were found")
             if not self.budget.has_memory():
                 raise MemoryError("The memory limit was reached before all collisions were found.")
-            part, missing = np.split(missing, [_CHUNK])
+            part, missing = np.split(missing, [self._chunk[a, b]])
             # 1. Find edges that may collide. No motion takes a body farther than `reach` from the motion's begin.
             begin, end = ours.q[ours.begin[part]], ours.q[ours.end[part]]
             near = tree.query_ball_point(begin[:, :2], ours.reach + others.reach)
             row_of_node = np.repeat(np.arange(len(part)), [len(nodes) for nodes in near])
             index, place = take_ragged(first, np.concatenate(near).astype(int))
             row, edge = row_of_node[place], order[index]  # part[row] may collide with `edge`
+            # Next time, take as many edges as give about `_PAIRS` pairs, judged by this part.
+            self._chunk[a, b] = int(np.clip(_PAIRS * len(part) // max(1, len(row)), 1, _CHUNK))
             # 2. Test these pairs, and cache the colliding edges of each edge.
             motions = others.q[others.begin[edge]], others.q[others.end[edge]]
             pairs = ours.robot, begin[row], end[row], others.robot, *motions
