@@ -1,4 +1,4 @@
-"""The binary space partition of a PLR: dyadic cells, the tree whose leaves partition the domain, and grids of cells."""
+"""The binary space partition of a PLR: dyadic cells, the tree whose leaves partition the domain, and grids."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
