@@ -243,8 +243,10 @@ class TurnRegions:
         corner is -1 and the length ``inf``.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
-        # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
-        point, first, triangle = triangles_at(self.triangulation, places)
+        # 1. Find the triangles of each point that is not a vertex: one, or two if the point is on a side.
+        is_vertex = places.on_side.sum(axis=1) > 1
+        point, rest = np.flatnonzero(~is_vertex), np.flatnonzero(is_vertex)
+        first, triangle = triangles_at(self.triangulation, places[point])
         # 2. The candidates of a point are the turns that its triangles list. The point's path turns first at the
         #    candidate of least path length among the candidates that the point sees.
         num_listed = self.first[triangle + 1] - self.first[triangle]
@@ -261,7 +263,6 @@ class TurnRegions:
             )
             vertex[rows] = np.append(corner, -1)[pair]
         # 3. At a vertex, many triangles meet: there, a point tries all turns.
-        rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
         vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda i, corner: sees(rest[i], corner))
         return vertex, length
 
@@ -279,15 +280,14 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
-) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
-    """Return the triangles that contain each point, as arrays ``(point, first, triangle)``.
+) -> tuple[Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
+    """Return the triangles that contain each point, as arrays ``(first, triangle)``.
 
-    Point ``point[i]`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on
-    the side between them. Points at vertices are left out.
+    Point ``i`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on the side
+    between them. A point at a vertex has one entry, the number of triangles.
     """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
-    is_listed = num_sides < 2
-    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)[is_listed]
-    triangles = np.stack([places.triangle, beyond], axis=1)[is_listed]
-    return np.flatnonzero(is_listed), np.append(0, np.cumsum(counts)), triangles[np.arange(2) < counts[:, None]]
+    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)
+    triangle = np.where(num_sides > 1, len(triangulation.triangles), places.triangle)
+    return np.append(0, np.cumsum(counts)), np.stack([triangle, beyond], axis=1)[np.arange(2) < counts[:, None]]

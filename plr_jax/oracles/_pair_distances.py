@@ -279,14 +279,10 @@ class PairDistances(PickledWithoutCaches):
         """
         # A point has the lists of all triangles that contain it. A point that is a vertex of triangles has the last
         # list, which holds all corners.
-        begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
-        points, first, triangle = triangles_at(mesh, mesh.place(x))  # without points that are vertices
-        num_runs, is_in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
-        num_runs[points], is_in_triangle[points] = np.diff(first), True
-        point = np.repeat(np.arange(len(x)), num_runs)
-        runs = np.full(len(point), len(begins) - 2)
-        runs[is_in_triangle[point]] = triangle
-        return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
+        mesh, begins = self.workspace.triangulation, self._lists_of_triangles[0]
+        first, runs = triangles_at(mesh, mesh.place(x))
+        num_before = np.append(0, np.cumsum(np.diff(begins)[runs]))  # corners in the lists before each list
+        return np.diff(num_before[first]), runs
 
 
 def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:
