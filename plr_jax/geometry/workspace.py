@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -34,6 +32,7 @@ from plr_jax.geometry.boundary import (
     triangulate,
 )
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
 from plr_jax.geometry.vectors import cross_product
@@ -429,9 +428,7 @@ def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, " parts"]:
     """
     if not may_squeeze:
         return np.arange(len(parts))
-    pairs = shapely.STRtree(parts).query(parts, predicate="intersects")
-    graph = coo_array((np.ones(pairs.shape[1], bool), tuple(pairs)), (len(parts),) * 2)
-    return connected_components(graph, directed=False)[1]
+    return connected_groups(len(parts), shapely.STRtree(parts).query(parts, predicate="intersects"))
 
 
 def _meeting(polygons: Any) -> BoxTest:
