@@ -22,19 +22,8 @@ from plr_jax._arrays import padded, padded_size
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
-from plr_jax.plr.frame import (
-    FRACTION_BITS,
-    MOST_ROWS,
-    WORD_BITS,
-    Mirrors,
-    byte_class,
-    folding_numbers,
-    frame_of,
-    max_entries,
-    rows_of_class,
-    slot_bits_of_rows,
-    unresolved_types,
-)
+from plr_jax.plr.frame import FRACTION_BITS, WORD_BITS, Mirrors, folding_numbers, frame_of, unresolved_types
+from plr_jax.plr.sizes import MOST_ROWS, byte_class, max_entries, rows_of_class, slot_bits_of_rows
 from plr_jax.plr.tree import Cells, PerAxis, enumerate_boxes, leaves_in_blocks, num_pairs, row_major, spread_bits
 
 PerBlock: TypeAlias = Int[np.ndarray, "blocks dim"]
