@@ -373,7 +373,8 @@ class Certificate:
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
         """Distinct pairs of a lower (row 0) and an upper (row 1) bound that leaves share, narrowest first."""
-        pairs = np.unique(self.bounds().T @ [-1, 1j])  # as complex numbers, sorted by the lower, then the upper bound
+        # As complex numbers, pairs are sorted by the size of the lower bound, then of the upper bound.
+        pairs: Any = np.unique(self.bounds().T @ [-1, 1j])
         bounds = np.stack([-pairs.real, pairs.imag])
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
