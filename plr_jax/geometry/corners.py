@@ -12,7 +12,7 @@ from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
@@ -109,7 +109,7 @@ def mutually_visible_pairs(
     # number of a pair that sees one another occurs twice, side by side.
     size = np.int64(len(corners.points))
     number = np.minimum(view, seen) * size + np.maximum(view, seen)
-    pair = _sorted_unique(2 * number + (view < seen)) >> 1
+    pair = sorted_unique(2 * number + (view < seen)) >> 1
     mutual = pair[1:][pair[1:] == pair[:-1]]
     return np.stack(np.divmod(mutual, size), axis=1).astype(np.int32)
 
@@ -124,7 +124,7 @@ def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "
     return corner
 
 
-def _sorted_unique(keys: Int[np.ndarray, " n"]) -> Int[np.ndarray, " distinct"]:
+def sorted_unique(keys: Int[np.ndarray, " n"]) -> Int[np.ndarray, " distinct"]:
     keys = np.sort(keys)  # faster than the hashing of ``np.unique`` if most keys are distinct
     return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
 
@@ -274,8 +274,21 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
     """
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
-    triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
+    triangle, view = np.divmod(sorted_unique(triangle * np.int64(count) + view), count)
     return np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1)), view
+
+
+def corners_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
+    """List, for each triangle of free space, the corners where paths from points of the triangle may turn first.
+
+    The result is ``(first, corner)``: triangle ``t`` has the corners ``corner[first[t] : first[t + 1]]``.
+    """
+    # A path may turn at a corner only if it comes from a direction v for which `opens x v` and `closes x v`, with the
+    # directions of the corner's walls, are both at least 0 (from opens to -closes), or both at most 0.
+    opens, closes = visibility.corners.walls
+    cones = (opens, -closes), (-opens, closes)
+    visits = [triangles_within(triangulation, visibility.views, *cone) for cone in cones]
+    return views_by_triangle(triangulation, np.concatenate(visits, axis=1))
 
 
 def triangles_at(
