@@ -25,9 +25,9 @@ from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._construct import BuildOptions, construct, warn_if_cut_off
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import BudgetTooSmall, ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
+from plr_jax.plr.sizes import max_axis_depth
 from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, FreeTest, Separable, require_space
 from plr_jax.spaces._costs import CostMap, cost_bounds
 
