@@ -27,6 +27,8 @@ SMALL = {
     "5": {"NUM_ENVIRONMENTS": 8, "NUM_STEPS": 10, "SIZE": 6, "BLOCKED": 0.2, "RESOLUTION": 4},
     "6": {"MAX_BYTES": 512, "NUM_POINTS": 500, "NUM_PAIRS": 12, "NUM_AGENTS": 3, "RESOLUTION": 40},
     "7": {"SIDE": 40, "BOUND_SIDE": 20, "PLR_BYTES": 512},
+    "8": {"NUM_POINTS": 50, "NUM_STEPS": 3, "NUM_MAPS": 4, "NUM_MEASURED": 100, "FIT_STEPS": 3}
+    | {"MAX_BYTES": 256, "RESOLUTION": 30},
 }
 PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -12,7 +12,7 @@
 
 Gradients are those of a shortest path. By a point, it is a unit vector away from the path. By a corner at which the
 path bends, it is the sum of two unit vectors, to the corner from its neighbors on the path. By all other vertices, it
-is 0. `jax.hessian` works, too.
+is 0. `jax.hessian` works, too. `notebooks/8_gradients_of_a_distance.ipynb` has pictures.
 
 # Move walls
 
