@@ -86,7 +86,8 @@ print(jax.jit(jax.grad(mean_on_host))(walls.reshape(-1, 2)))
 
 Planes, continuous and smooth leaves are linear in the values that the file stores. `plr.tunable()` returns a
 `plr_jax.TunablePLR`, a pytree of these values, which optax fits to measurements. Leaves keep their boxes, and stay
-continuous where they were. `to_plr` writes a file again, without a proof.
+continuous where they were. Store fewer values than you have measurements, by a small `max_bytes`, or noise is fitted,
+too. `to_plr` writes a file again, without a proof.
 
 ```python
 problem = plr_jax.scenes.maze()
@@ -110,7 +111,8 @@ print(loss, tunable.to_plr(max_bytes=1024))
 
 # Where gradients jump
 
-- **Two equally short paths**: the gradient is that of one of them. Average over many points.
+- **Two equally short paths**: the gradient is that of one of them. Average over many points, take small steps, and
+  keep the best result of all steps.
 - **A gap closes or opens**: the distance jumps, and no gradient announces it. Try several starts.
 - **Points in a wall**: distance `inf`, gradient 0. Mask them, as above; a penalty keeps walls away from points.
 - **Second derivatives** jump where a point begins to see another corner.

@@ -96,8 +96,11 @@ def polygon_distance(
     Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with two exceptions:
 
     - A point where two polygons touch lies on one side of the contact, not on both.
-    - In 32 bits, gaps narrower than 1e-5 of the map count as closed, and a point closer to a wall than 1e-6 of the
-      map may count as on either side of it. In 64 bits, these are 1e-14 and 1e-15.
+    - In 32 bits, gaps narrower than 1e-5 of the map's size count as closed, and a point closer to a wall than 1e-6
+      of this size may count as on either side of it. In 64 bits, these are 1e-14 and 1e-15.
+
+    A program of new shapes takes seconds to compile: jit the function that makes and calls the field, and pad maps to
+    one shape. 1,000 points among 64 vertices then take milliseconds.
 
     Args:
         polygons: Simple polygons, ``(m, k, 2)``, clockwise or counterclockwise, not necessarily convex. Pad polygons

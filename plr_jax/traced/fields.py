@@ -1,4 +1,4 @@
-"""What fields of distances on traced maps share: checks of points, and answers where no distance is known."""
+"""Checks of points, and answers where no distance is known, for fields of distances on all traced maps."""
 
 from contextlib import suppress
 from functools import reduce
