@@ -169,7 +169,7 @@ def _(primals, tangents):
     change = tangents[0] + tangents[1]
     least = shortest(first, onward)  # not jnp.min, whose own gradient would count in second derivatives
     minimizer = _longest_of_equal(first, onward, least)
-    is_minimizer = jnp.arange(change.shape[-1]) == minimizer[..., None]
+    is_minimizer = lax.broadcasted_iota(int, change.shape, change.ndim - 1) == minimizer[..., None]
     return least, jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)
 
 

@@ -8,6 +8,7 @@ blocked; the path that bends at this corner is equally long.
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -77,10 +78,19 @@ class PolygonCorners:
     def placed(self, x: Points) -> tuple[Points, Bool[Array, " n"]]:
         """Move points near walls to the margin; return the points, and whether each given point is free."""
         x = lax.stop_gradient(x)
-        end, distances = lax.scan(lambda end, _: self._moved_from_wall(end), x, length=_ROUNDS)
+        lower, upper = self.bounds.astype(x.dtype)[:, None]
+
+        def moved(past_corners):
+            end, distances = lax.scan(lambda end, _: self._moved_from_wall(end, past_corners), x, length=_ROUNDS)
+            # Not beyond bounds that a polygon touches: else segments could pass between the polygon and the bounds.
+            return jnp.clip(end, lower + self.margin, upper - self.margin), distances[0]
+
+        # Where two polygons touch, the way past a corner of one may lead into the other; walls then lead out.
+        (end, by_walls), (distance, _) = jax.vmap(moved)(jnp.array([True, False]))
+        end = jnp.where(self._are_inside(end)[:, None], by_walls, end)
         # On a wall, the moved point says what is free: the wall may be a side of two polygons that touch.
         is_blocked = self._are_inside(end)
-        is_free = ~jnp.where(distances[0] <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
+        is_free = ~jnp.where(distance <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
         return jnp.where(is_blocked[:, None], x, end), is_free & self._are_in_bounds(x)
 
     def see_each_other(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
@@ -131,7 +141,7 @@ class PolygonCorners:
         crosses = ((y0 > y) != (y1 > y)) & is_ahead
         return (crosses.reshape(*self.vertices.shape[:2], -1).sum(axis=1) % 2 == 1).any(axis=0)
 
-    def _moved_from_wall(self, x: Points) -> tuple[Points, Float[Array, " n"]]:
+    def _moved_from_wall(self, x: Points, past_corners: Bool[Array, ""]) -> tuple[Points, Float[Array, " n"]]:
         # Return each point, moved to the margin if it is closer to the nearest wall, and its distance before.
         start, end = self._edges(x.dtype)
         square = _feet(start[:, None], end[:, None], x[None])[1]  # rows are edges
@@ -140,11 +150,11 @@ class PolygonCorners:
         edge = jnp.where(square <= least[None], number[:, None], len(start) - 1).min(axis=0).astype(int)
         foot = _feet(start[edge], end[edge], x)[0]
         moved = foot + self.margin.astype(x.dtype) * _normals(_unit(end - start))[edge]
-        # Near an end of the wall, move to the point that is outside of both walls there.
+        # Near an end of the wall, `past_corners`: move to the point that is outside of both walls there.
         k = self.vertices.shape[1]
         for vertex in (edge, edge // k * k + (edge + 1) % k):
             is_near = _length(foot - start[vertex]) <= self.margin
-            moved = jnp.where(is_near[:, None], self._ends().astype(x.dtype)[vertex], moved)
+            moved = jnp.where((is_near & past_corners)[:, None], self._ends().astype(x.dtype)[vertex], moved)
         distance = jnp.sqrt(least)
         return jnp.where((distance < self.margin)[:, None], moved, x), distance
 

@@ -151,6 +151,19 @@ def test_no_path_leads_between_a_polygon_and_bounds_that_it_touches_or_crosses()
     assert_allclose(right[0], np.hypot(1.1, 1) + 1 + SQRT2, rtol=1e-6)
     assert_allclose(around(bounds=((0.5, -2), (5, 3)))[[0, 1]], [right[0], np.inf], rtol=1e-6)
     assert_allclose(around(bounds=((0, -2), (2, 3)))[[0, 2]], [np.inf, 1], rtol=1e-6)
+    # Nor between corners that lie on the bounds; points between the box and the bounds are not free.
+    along = polygon_distance(BOX[None], (0, 0), bounds=((-1, 0), (5, 3)))(np.array([(2, 0), (1, 0), (-1, 0)]))
+    assert_allclose(along, [4, np.inf, 1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_point_where_two_corners_touch_lies_on_one_side(order):
+    """The way out of a corner of one box leads into the other box."""
+    boxes, contact = np.stack([BOX, BOX + BOX[2]])[::order], BOX[2]
+    sides = np.array([(1, 2), (3, 0)], np.float32)  # both at a distance of sqrt(2), if on the contact's side
+    to_contact, from_contact = polygon_distance(boxes, contact)(sides), polygon_distance(boxes, None)(contact, sides)
+    assert_allclose(to_contact, from_contact)
+    assert_allclose([to_contact.min(), to_contact.max()], [SQRT2, 4 + SQRT2], rtol=1e-6)
 
 
 def test_wrong_numbers_give_nan_and_goals_in_obstacles_inf():
@@ -230,7 +243,7 @@ def test_64_bits_are_exact_and_promote_nothing():
 
 @pytest.mark.full
 def test_second_derivatives_equal_differences_of_gradients():
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), jax.numpy_rank_promotion("raise"):
         polygons, goal, x = (each[0].astype(float) for each in (maps()[0], maps()[1][:, 0], maps()[2]))
         x = x[np.isfinite(oracles()[0][0](x))][:20]
         by_polygons = jax.jit(jax.grad(lambda polygons: polygon_distance(polygons, goal)(x).sum()))
