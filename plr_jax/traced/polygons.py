@@ -8,7 +8,6 @@ blocked; the path that bends at this corner is equally long.
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -78,19 +77,14 @@ class PolygonCorners:
     def placed(self, x: Points) -> tuple[Points, Bool[Array, " n"]]:
         """Move points near walls to the margin; return the points, and whether each given point is free."""
         x = lax.stop_gradient(x)
+        is_first = jnp.arange(_ROUNDS) == 0
+        end, distances = lax.scan(self._moved_from_wall, x, is_first)
+        # Stay within the bounds by the margin, too: no segment may pass between a polygon and bounds that it touches.
         lower, upper = self.bounds.astype(x.dtype)[:, None]
-
-        def moved(past_corners):
-            end, distances = lax.scan(lambda end, _: self._moved_from_wall(end, past_corners), x, length=_ROUNDS)
-            # Not beyond bounds that a polygon touches: else segments could pass between the polygon and the bounds.
-            return jnp.clip(end, lower + self.margin, upper - self.margin), distances[0]
-
-        # Where two polygons touch, the way past a corner of one may lead into the other; walls then lead out.
-        (end, by_walls), (distance, _) = jax.vmap(moved)(jnp.array([True, False]))
-        end = jnp.where(self._are_inside(end)[:, None], by_walls, end)
+        end = jnp.clip(end, lower + self.margin, upper - self.margin)
         # On a wall, the moved point says what is free: the wall may be a side of two polygons that touch.
         is_blocked = self._are_inside(end)
-        is_free = ~jnp.where(distance <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
+        is_free = ~jnp.where(distances[0] <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
         return jnp.where(is_blocked[:, None], x, end), is_free & self._are_in_bounds(x)
 
     def see_each_other(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
@@ -134,29 +128,37 @@ class PolygonCorners:
         return ((self.bounds[:1] <= x) & (x <= self.bounds[1:])).all(axis=1)
 
     def _are_inside(self, x: Points) -> Bool[Array, " n"]:
-        # Return whether points are inside a polygon: a ray to the right crosses an odd number of its edges.
+        return self._containing(x).any(axis=0)
+
+    def _containing(self, x: Points) -> Bool[Array, "m n"]:
+        # Return which polygons contain each point: a ray to the right crosses an odd number of edges.
         (x0, y0), (x1, y1) = (_columns(each[:, None]) for each in self._edges(x.dtype))  # rows are edges
         x, y = _columns(x[None])
         is_ahead = ((x1 - x0) * (y - y0) > (y1 - y0) * (x - x0)) == (y1 > y0)
         crosses = ((y0 > y) != (y1 > y)) & is_ahead
-        return (crosses.reshape(*self.vertices.shape[:2], -1).sum(axis=1) % 2 == 1).any(axis=0)
+        return crosses.reshape(*self.vertices.shape[:2], -1).sum(axis=1) % 2 == 1
 
-    def _moved_from_wall(self, x: Points, past_corners: Bool[Array, ""]) -> tuple[Points, Float[Array, " n"]]:
-        # Return each point, moved to the margin if it is closer to the nearest wall, and its distance before.
+    def _moved_from_wall(self, x: Points, is_first: Bool[Array, ""]) -> tuple[Points, Float[Array, " n"]]:
+        # Return each point, moved to the margin outside of the nearest wall if it is closer, and its distance before.
         start, end = self._edges(x.dtype)
         square = _feet(start[:, None], end[:, None], x[None])[1]  # rows are edges
+        # In later rounds, a point inside polygons leaves these.
+        k, is_in = self.vertices.shape[1], self._containing(x) & ~is_first
+        is_wall = jnp.repeat(is_in, k, axis=0) | ~is_in.any(axis=0)[None]
+        square = jnp.where(is_wall, square, jnp.inf)
         least = square.min(axis=0)
         number = jnp.arange(len(start), dtype=x.dtype)  # this minimum is eight times as fast as an argmin
         edge = jnp.where(square <= least[None], number[:, None], len(start) - 1).min(axis=0).astype(int)
         foot = _feet(start[edge], end[edge], x)[0]
         moved = foot + self.margin.astype(x.dtype) * _normals(_unit(end - start))[edge]
-        # Near an end of the wall, `past_corners`: move to the point that is outside of both walls there.
-        k = self.vertices.shape[1]
+        # In the first round, a point near an end of the wall moves outside of both walls there. Where polygons touch,
+        # it may get into another polygon, which it leaves in the next round.
         for vertex in (edge, edge // k * k + (edge + 1) % k):
-            is_near = _length(foot - start[vertex]) <= self.margin
-            moved = jnp.where((is_near & past_corners)[:, None], self._ends().astype(x.dtype)[vertex], moved)
+            is_near = is_first & (_length(foot - start[vertex]) <= self.margin)
+            moved = jnp.where(is_near[:, None], self._ends().astype(x.dtype)[vertex], moved)
         distance = jnp.sqrt(least)
-        return jnp.where((distance < self.margin)[:, None], moved, x), distance
+        must_move = distance < jnp.where(is_first, 1, jnp.where(is_in.any(axis=0), 2, 0.5)) * self.margin
+        return jnp.where(must_move[:, None], moved, x), distance
 
 
 def _feet(start: Broadcast, end: Broadcast, x: Broadcast) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
