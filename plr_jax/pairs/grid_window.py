@@ -7,7 +7,7 @@ up as well. Then spread distances from the rim into the window, by sweeps.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,13 +27,6 @@ _Rim = Int32[Array, "rim n"]
 _RimFlags = Bool[Array, "rim n"]
 _RimCells = Int32[Array, "rim n 2"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
-
-
-class _Known(NamedTuple):
-    """The nearest rim cell of known length, for each agent: its place on the rim, and its length."""
-
-    place: Int32[Array, "*rim n"]
-    length: Int32[Array, "*rim n"]
 
 
 @partial(jax.jit, static_argnames="radius")
@@ -99,14 +92,10 @@ def _lengths_of_rim(
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
-    def nearest_known(lengths: _Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> _Known:
-        # The last known cell up to each cell of the rim or, in reverse, the first one from each cell on: (rim, n).
-        def next_cell(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
-            index, length, is_known = cell
-            nearest = _Known(jnp.where(is_known, index, nearest.place), jnp.where(is_known, length, nearest.length))
-            return nearest, nearest
-
-        return lax.scan(next_cell, first, (place, lengths, is_known), reverse=reverse)[1]
+    def extreme_known(is_known: _RimFlags, extreme: Any, outside: Int32[Array, " n"], reverse: bool) -> _Rim:
+        # The extreme of the known places so far. (On CPUs, `scan` is several times faster here than `cummax`.)
+        places = jnp.where(is_known, place[:, None], outside)
+        return lax.scan(lambda last, here: 2 * (extreme(last, here),), outside, places, reverse=reverse)[1]
 
     def look_up_round(state: tuple[_Rim, _RimFlags, _RimFlags]):
         lengths, is_known, is_wanted = state
@@ -114,9 +103,9 @@ def _lengths_of_rim(
         # 1. Find the nearest known cells before and after each cell. The rim is a cycle, so the last known cell is
         #    also before the first cell, at a negative place, and the first known cell is after the last cell.
         begin, end = lax.argmax(is_known, 0, jnp.int32), len(cells) - 1 - lax.argmax(is_known[::-1], 0, jnp.int32)
-        at_begin, at_end = (jnp.take_along_axis(lengths, cell[None], axis=0)[0] for cell in (begin, end))
-        before, first = nearest_known(lengths, is_known, _Known(end - len(cells), at_end), reverse=False)
-        after, last = nearest_known(lengths, is_known, _Known(begin + len(cells), at_begin), reverse=True)
+        before = extreme_known(is_known, jnp.maximum, end - len(cells), reverse=False)
+        after = extreme_known(is_known, jnp.minimum, begin + len(cells), reverse=True)
+        first, last = (jnp.take_along_axis(lengths, known % len(cells), axis=0) for known in (before, after))
         # 2. Settle the cells between two known cells whose lengths differ by all steps between them, or from which no
         #    path leads: then no path leads from the free cells between, either. Both known cells are in one run of
         #    free cells, so it suffices to test the first.
