@@ -35,13 +35,13 @@ class CornerRoadmap:
     """A roadmap for a disc: positions of its center beside corners of walls, and free straight motions."""
 
     def __init__(self, workspace: Workspace, radius: float):
-        # 1. Find the free positions beside corners. The angle at the begin of each wall, from its normal to the normal
-        #    of the wall before it, is positive at convex corners of obstacles, negative at concave ones.
+        # 1. Find the free positions beside corners. `turn` is the angle at the begin of each wall, from its normal to
+        #    the normal of the wall before it: positive at convex corners of obstacles, negative at concave ones.
         boundary, begin = workspace.boundary, workspace.boundary.segments[:, 0]
         turn = turn_between(boundary.normal, turned_left(begin - boundary.vertices[boundary.sector_end]))
         turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)
         q = _positions_at(begin, boundary.normal, turn, radius)
-        self.q = q[workspace.clearance(q) >= radius - workspace.tolerance / 2]  # so that rounding ends no contact
+        self.q = q[workspace.clearance(q) >= radius - workspace.tolerance / 2]  # rounding must not exclude contacts
         self.places: list[complex] = (self.q @ _COMPLEX).tolist()
         # 2. Find the shortest routes between them.
         self.is_free = motion_test(workspace, DiscRobot(radius))
