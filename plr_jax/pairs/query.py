@@ -151,7 +151,7 @@ def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     none_hidden = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     no_turn = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = _Search(straight, no_turn, no_turn, _least(keys), none_hidden)
+    search = _Search(straight, no_turn, no_turn, keys.min(axis=1), none_hidden)
     # 3. Search in rounds. Then look up the turns.
     pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
     search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
@@ -192,7 +192,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     # 1. Decode the place of the first turn. The next key is the least one that is larger.
     first = search.key & _place_bits(pairs.keys.shape[1])
-    next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
+    next_key = jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY).min(axis=1)
     turn_x = _corner_of(tables, leaf_x, first)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
     if to_corners is not None:  # the distance from the first turn to a prepared goal is known
@@ -210,7 +210,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
     onward = _legs(tables, leaf_y, y) + gather(tables.distances.ravel(), corner[:, None] * size + listed)
     onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
     shortest = onward.min(axis=1)  # from the first turn to y
-    last = _least(jnp.where(onward == shortest[:, None], columns, columns.size - 1))
+    last = jnp.where(onward == shortest[:, None], columns, columns.size - 1).min(axis=1)
     # 3. Test both legs together, and compare the path with the shortest one so far.
     legs = ((leaf_x, leaf_y), (first, last), (x, y), (turn_x, _corner_of(tables, leaf_y, last)))
     hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, legs)), 2)
@@ -237,13 +237,6 @@ def _place_bits(longest: int) -> np.uint32:
 def _bound_of(key: Rows, longest: int) -> _Lengths:
     # Without its last bits the bound is rounded down, so it is still a lower bound.
     return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
-
-
-def _least(values: UInt32[Array, "n columns"]) -> Rows:
-    # The minimum of each row. Compilers are faster if both halves of the columns are compared first.
-    while values.shape[1] > 8 and values.shape[1] % 2 == 0:
-        values = jnp.minimum(*jnp.split(values, 2, axis=1))
-    return values.min(axis=1)
 
 
 def _legs(tables: PairTables, leaf: Rows, x: Points) -> Float[Array, "n longest"]:
