@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int32, Num, Shaped
 
+from plr_jax._compiled import part_by_part
 from plr_jax.pairs.grid_corners import FAR, STRAIGHT, open_length
 from plr_jax.pairs.grid_query import Cells, GridTables, cells_of, is_free, lengths_between_cells
 
@@ -187,8 +188,8 @@ def _spread(connectivity: int, lengths: _Square, free: _Free) -> _Square:
 
     # 2. Sweep down, up, right and left until nothing changes. A sweep to the side sweeps down the transposed square;
     #    diagonal steps are taken in sweeps down and up.
-    def spread(part: tuple[_Square, _Free]) -> _Square:
-        lengths, free = part
+    def spread(*by_agent: Shaped[Array, "n width width"]) -> Int32[Array, "n width width"]:
+        lengths, free = (jnp.moveaxis(table, 0, -1) for table in by_agent)
 
         def four_sweeps(state: tuple[_Square, Bool[Array, ""]]) -> tuple[_Square, Bool[Array, ""]]:
             best = state[0]
@@ -198,15 +199,9 @@ def _spread(connectivity: int, lengths: _Square, free: _Free) -> _Square:
                 best = best.swapaxes(0, 1)
             return best, (best < state[0]).any()
 
-        return lax.while_loop(lambda state: state[1], four_sweeps, (lengths, jnp.asarray(True)))[0]
+        reached, _ = lax.while_loop(lambda state: state[1], four_sweeps, (lengths, jnp.asarray(True)))
+        return jnp.moveaxis(reached, -1, 0)
 
     # 3. Take as many agents at once as fit into caches.
-    agents = lengths.shape[-1]
-    size = min(_AGENTS, max(agents, 1))
-
-    def in_parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
-        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
-        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
-
-    reached = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
-    return reached.reshape(*lengths.shape[:2], -1)[..., :agents]
+    by_agent = (jnp.moveaxis(table, -1, 0) for table in (lengths, free))
+    return jnp.moveaxis(part_by_part(spread, _AGENTS, *by_agent), 0, -1)
