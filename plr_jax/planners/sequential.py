@@ -51,19 +51,16 @@ class CornerRoadmap:
         straight[first[free], last[free]] = np.hypot(*(self.q[last] - self.q[first])[free].T)
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
-    def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
-        """Return, for each robot, the costs of motions between its start, the roadmap's positions, and its goal."""
-        # Motions from starts to goals, then from each start to all corners, then from each goal to all corners.
-        num, size = len(starts), len(self.q)
-        ends = np.concatenate([starts, goals])
-        begin = np.concatenate([starts, ends.repeat(size, axis=0)])
-        end = np.concatenate([goals, *[self.q] * 2 * num])
+    def routes_of(self, start: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"]) -> "Routes":
+        """Return the costs of a robot's motions between its start, the roadmap's positions, and its goal."""
+        # Motions from start to goal, then from the start to all corners, then from the goal to all corners.
+        ends = np.stack([start, goal])
+        begin = np.concatenate([ends[:1], ends.repeat(len(self.q), axis=0)])
+        end = np.concatenate([ends[1:], self.q, self.q])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
-        out, home = cost[num:].reshape(2, num, size)
-        to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
-        places = (ends @ _COMPLEX).tolist()
-        columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
-        return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
+        out, home = cost[1:].reshape(2, len(self.q))
+        to_go = (home + self.cost).min(axis=1, initial=np.inf)
+        return Routes(self, *(ends @ _COMPLEX).tolist(), float(cost[0]), out, home, to_go)
 
     def between(self, u: int, v: int) -> Route:
         route = [v]
@@ -133,12 +130,8 @@ def sequential_path(problem: Problem) -> Path | None:
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
     # 1. Find the routes of all robots; robots of equal radius share a roadmap.
-    routes_of_robot: dict[int, Routes] = {}
-    for radius in {robot.rounding for robot in robots}:
-        members = [i for i, robot in enumerate(robots) if robot.rounding == radius]
-        all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[members], problem.goals[members])
-        routes_of_robot.update(zip(members, all_routes, strict=True))
-    all_routes = [routes_of_robot[i] for i in range(len(robots))]
+    poses = zip(robots, problem.starts, problem.goals, strict=True)
+    all_routes = [_cached_roadmap(workspace, robot.rounding).routes_of(*ends) for robot, *ends in poses]
     reach = _touch_distances(problem)
     chosen = [route for routes in all_routes if (route := routes.shortest())]
     if len(chosen) < len(robots):
