@@ -60,7 +60,8 @@ class CornerRoadmap:
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
         out, home = cost[1:].reshape(2, len(self.q))
         to_go = (home + self.cost).min(axis=1, initial=np.inf)
-        return Routes(self, *(ends @ _COMPLEX).tolist(), float(cost[0]), out, home, to_go)
+        first, last = (ends @ _COMPLEX).tolist()
+        return Routes(self, first, last, float(cost[0]), out, home, to_go)
 
     def between(self, u: int, v: int) -> Route:
         route = [v]
