@@ -57,7 +57,7 @@ class TeamTrajectory:
         """
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
-        x, y, radius = circles_along(q[:, None])
+        x, y, radius = circles(q[:-1, None], q[1:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
     def robots_near(
@@ -71,23 +71,17 @@ class TeamTrajectory:
         Returns:
             The indices ``k`` and ``j`` of all pairs that may meet, both ``(m,)``, ordered by ``k``, then ``j``.
         """
-        # Circles overlap if dx^2 + dy^2 < reach^2, computed in place (at last, `dx` holds the sum of squares), by
-        # blocks of circles and all robots.
-        radius = around.radius + self._size[i]
+        # Circles overlap if dx^2 + dy^2 < reach^2: compare blocks of circles with all robots.
         num_robots = len(self._size)
         size = max(1, _CHUNK // num_robots)
         near = []  # k * num_robots + j
         for first in range(0, max(1, len(first_row)), size):
             block = slice(first, first + size)
-            dx, dy, reach = (table[first_row[block]] for table in (self._x, self._y, self._radius))
-            for difference, center in ((dx, around.x), (dy, around.y)):
-                difference -= center[block, None]
-                difference *= difference
-            dx += dy
-            reach += radius[block, None]
+            x, y, radius = (column[block, None] for column in around)
+            row = first_row[block]
+            dx, dy, reach = self._x[row] - x, self._y[row] - y, self._radius[row] + (radius + self._size[i])
             reach[:, [i, *excluded]] = 0.0
-            reach *= reach
-            near.append(first * num_robots + np.flatnonzero(dx < reach))
+            near.append(first * num_robots + np.flatnonzero(dx * dx + dy * dy < reach * reach))
         return np.divmod(np.concatenate(near), num_robots)
 
 
@@ -106,20 +100,8 @@ def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof
 
     A motion leads from any of the ``k`` positions ``begin[i]`` to any of the ``l`` positions ``end[i]``.
     """
-    return _between(_around(begin), _around(end))
-
-
-def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return ``steps - 1`` circles. Circle ``i`` contains all straight motions from step ``i`` to step ``i + 1``.
-
-    A motion leads from any of the ``k`` positions ``q[i]`` to any of the ``k`` positions ``q[i + 1]``.
-    """
-    around = _around(q)
-    return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
-
-
-def _between(a: Circles, b: Circles) -> Circles:
-    # The circle halfway between two circles that contains both.
+    # The circle halfway between two circles that contains both: of the begins, and of the ends.
+    a, b = _around(begin), _around(end)
     radius = np.hypot(b.x - a.x, b.y - a.y) / 2 + np.maximum(a.radius, b.radius)
     return Circles((a.x + b.x) / 2, (a.y + b.y) / 2, radius)
 

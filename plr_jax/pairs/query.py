@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, UInt32
 
 from plr_jax._arrays import padded_size
 from plr_jax._compiled import part_by_part, pytree
-from plr_jax.pairs.occlusion import Flags, Points, Rows, is_across_occluder, updated
+from plr_jax.pairs.occlusion import Flags, Points, Rows, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
@@ -151,7 +151,7 @@ def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     none_hidden = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     no_turn = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = _Search(straight, no_turn, no_turn, _least(keys), none_hidden)
+    search = _Search(straight, no_turn, no_turn, keys.min(axis=1), none_hidden)
     # 3. Search in rounds. Then look up the turns.
     pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
     search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
@@ -192,7 +192,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     # 1. Decode the place of the first turn. The next key is the least one that is larger.
     first = search.key & _place_bits(pairs.keys.shape[1])
-    next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
+    next_key = jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY).min(axis=1)
     turn_x = _corner_of(tables, leaf_x, first)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
     if to_corners is not None:  # the distance from the first turn to a prepared goal is known
@@ -210,7 +210,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
     onward = _legs(tables, leaf_y, y) + gather(tables.distances.ravel(), corner[:, None] * size + listed)
     onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
     shortest = onward.min(axis=1)  # from the first turn to y
-    last = _least(jnp.where(onward == shortest[:, None], columns, columns.size - 1))
+    last = jnp.where(onward == shortest[:, None], columns, columns.size - 1).min(axis=1)
     # 3. Test both legs together, and compare the path with the shortest one so far.
     legs = ((leaf_x, leaf_y), (first, last), (x, y), (turn_x, _corner_of(tables, leaf_y, last)))
     hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, legs)), 2)
@@ -239,13 +239,6 @@ def _bound_of(key: Rows, longest: int) -> _Lengths:
     return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
 
 
-def _least(values: UInt32[Array, "n columns"]) -> Rows:
-    # The minimum of each row. Compilers are faster if both halves of the columns are compared first.
-    while values.shape[1] > 8 and values.shape[1] % 2 == 0:
-        values = jnp.minimum(*jnp.split(values, 2, axis=1))
-    return values.min(axis=1)
-
-
 def _legs(tables: PairTables, leaf: Rows, x: Points) -> Float[Array, "n longest"]:
     # The distances of points to the corners that their leaves list.
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
@@ -267,18 +260,16 @@ def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corne
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
     """Return whether obstacles hide points ``x[i]`` and ``y[i]`` from each other.
 
-    Occluders decide most pairs, walls decide the others. Points are relative to the middle of the domain.
+    Points are relative to the middle of the domain.
     """
     # Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
     # another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another.
     # It counts only if `tables.is_certain`: then paths must be certainly free.
-    #
-    # 1. Test the occluders.
-    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
+    size = x.shape[0]
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
 
-    # 2. Test the walls, group by group.
+    # Test the walls, group by group.
     def cross(crossed: _Crossed, walls: Any, x: Points, y: Points) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
@@ -295,12 +286,12 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
         along_x, along_y, to_x, to_y = jnp.abs(dx), jnp.abs(dy), middle_x - px, middle_y - py
         meets = (jnp.abs(dx - 2 * to_x) <= along_x + 2 * half_x) & (jnp.abs(dy - 2 * to_y) <= along_y + 2 * half_y)
         meets &= jnp.abs(dx * to_y - dy * to_x) <= along_x * half_y + along_y * half_x
-        is_open = meets & ~hidden & ~(crossed[0] & crossed[1])
+        is_open = meets & ~(crossed[0] & crossed[1])
         return updated(crossed, is_open, _TESTED, lambda crossed, *ends: cross(crossed, walls, *ends), x, y), None
 
     none, walls = jnp.zeros(size, bool), tables.walls
     goes_in, goes_out = jax.lax.scan(cross_group, (none, none), (walls.groups, walls.boxes))[0]
-    return hidden | (goes_in | goes_out if tables.is_certain else goes_in & goes_out)
+    return goes_in | goes_out if tables.is_certain else goes_in & goes_out
 
 
 def is_inside(tables: PairTables, x: Points) -> Flags:

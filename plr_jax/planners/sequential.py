@@ -10,19 +10,20 @@ from itertools import groupby, pairwise, permutations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.sparse.csgraph import shortest_path
 
 from plr_jax._problem import Problem
+from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.robots import DiscRobot
 
 # With more walls or robots, lattice searches are as fast, and no order of robots is likely to exist.
 _MOST_WALLS = 48
 _MOST_ROBOTS = 8
 _SHARP_TURN = 2.0  # turn of the normals (radians) at a convex corner above which a route has two positions there
 _LEAST_COSINE = 1e-3  # bounds the distance of positions from sharp concave corners
-_STILL = 1e-200  # replaces a velocity of 0 as a divisor
 _COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are faster in plain Python
 _DEPARTURES = 32  # most departure times that are tried for a robot, besides the last one
 Points = Float[np.ndarray, "n 2"]
@@ -34,74 +35,33 @@ class CornerRoadmap:
     """A roadmap for a disc: positions of its center beside corners of walls, and free straight motions."""
 
     def __init__(self, workspace: Workspace, radius: float):
-        # 1. The center must avoid a box around each wall, aligned with the wall, and a circle around each convex
-        #    corner.
-        #
-        #          .-------------------.
-        #        (   |               |   )     box: as long as the wall, `reach` to both sides of it
-        #       (    o=====wall======o    )    circles: radius `reach`, around ends o that are convex
-        #        (   |               |   )
-        #          '-------------------'
-        #
-        #    Rows of `_axes`, `_middle` and `_half`: normals of all walls, then their directions.
-        boundary = workspace.boundary
-        self._reach = radius - workspace.tolerance / 2  # so that rounding never turns contact into collision
-        begin, end = boundary.segments.transpose(1, 0, 2)
-        length, middle = np.hypot(*(end - begin).T), (begin + end) / 2
-        self._axes = np.concatenate([boundary.normal, -turned_left(boundary.normal)])
-        self._middle = (self._axes * np.tile(middle, (2, 1))).sum(axis=1)[:, None]
-        self._half = np.append(np.full(len(length), self._reach), length / 2)[:, None]
-        # The angle at the begin of each wall from its normal to the normal of the wall before it: positive at convex
-        # corners of obstacles, negative at concave ones.
+        # 1. Find the free positions beside corners. `turn` is the angle at the begin of each wall, from its normal to
+        #    the normal of the wall before it: positive at convex corners of obstacles, negative at concave ones.
+        boundary, begin = workspace.boundary, workspace.boundary.segments[:, 0]
         turn = turn_between(boundary.normal, turned_left(begin - boundary.vertices[boundary.sector_end]))
         turn = np.where(turn > np.pi, turn - 2 * np.pi, turn)
-        self._tips = begin[turn > 0]
-        # 2. Find the free positions beside corners, and the shortest routes between them.
         q = _positions_at(begin, boundary.normal, turn, radius)
-        self.q = q[workspace.clearance(q) >= self._reach]
+        self.q = q[workspace.clearance(q) >= radius - workspace.tolerance / 2]  # rounding must not exclude contacts
         self.places: list[complex] = (self.q @ _COMPLEX).tolist()
+        # 2. Find the shortest routes between them.
+        self.is_free = motion_test(workspace, DiscRobot(radius))
         first, last = np.triu_indices(len(self.q), 1)
         free = self.is_free(self.q[first], self.q[last])
         straight = np.zeros((len(self.q), len(self.q)))
         straight[first[free], last[free]] = np.hypot(*(self.q[last] - self.q[first])[free].T)
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
-    def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each straight motion from ``begin[i]`` to ``end[i]`` hits no wall; touching is allowed.
-
-        Begin and end are free positions of the disc's center.
-        """
-        (x, y), (dx, dy) = begin.T, (end - begin).T
-        # 1. A motion hits a circle if it passes its center and comes too near: with t the vector from begin to
-        #    center, 0 < t . d < |d|^2 and |t x d| < reach |d|. (The ends of the motion are free.)
-        tip_x, tip_y = self._tips[:, :1] - x, self._tips[:, 1:] - y
-        along, squared = tip_x * dx + tip_y * dy, dx * dx + dy * dy
-        hits = (along > 0) & (along < squared) & (np.abs(tip_x * dy - tip_y * dx) < self._reach * np.sqrt(squared))
-        # 2. A motion hits a box if it is between both pairs of sides at the same time (slab method). Along each axis,
-        #    it is at the box's middle at the time `middle`, and between the sides for the time `half` before and
-        #    after.
-        num_walls = len(self._axes) // 2
-        rate = self._axes @ (end - begin).T
-        rate[np.abs(rate) < _STILL] = _STILL
-        middle = (self._middle - self._axes @ begin.T) / rate
-        half = self._half / np.abs(rate)
-        enter, leave = middle - half, middle + half
-        enter, leave = np.maximum(*np.split(enter, [num_walls])), np.minimum(*np.split(leave, [num_walls]))
-        return ~((np.maximum(enter, 0.0) < np.minimum(leave, 1.0)).any(axis=0) | hits.any(axis=0))
-
-    def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
-        """Return, for each robot, the costs of motions between its start, the roadmap's positions, and its goal."""
-        # Motions from starts to goals, then from each start to all corners, then from each goal to all corners.
-        num, size = len(starts), len(self.q)
-        ends = np.concatenate([starts, goals])
-        begin = np.concatenate([starts, ends.repeat(size, axis=0)])
-        end = np.concatenate([goals, *[self.q] * 2 * num])
+    def routes_of(self, start: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"]) -> "Routes":
+        """Return the costs of a robot's motions between its start, the roadmap's positions, and its goal."""
+        # Motions from start to goal, then from the start to all corners, then from the goal to all corners.
+        ends = np.stack([start, goal])
+        begin = np.concatenate([ends[:1], ends.repeat(len(self.q), axis=0)])
+        end = np.concatenate([ends[1:], self.q, self.q])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
-        out, home = cost[num:].reshape(2, num, size)
-        to_go = (home[:, None] + self.cost).min(axis=2, initial=np.inf)
-        places = (ends @ _COMPLEX).tolist()
-        columns = places[:num], places[num:], cost[:num].tolist(), out, home, to_go
-        return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
+        out, home = cost[1:].reshape(2, len(self.q))
+        to_go = (home + self.cost).min(axis=1, initial=np.inf)
+        first, last = (ends @ _COMPLEX).tolist()
+        return Routes(self, first, last, float(cost[0]), out, home, to_go)
 
     def between(self, u: int, v: int) -> Route:
         route = [v]
@@ -171,12 +131,8 @@ def sequential_path(problem: Problem) -> Path | None:
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
     # 1. Find the routes of all robots; robots of equal radius share a roadmap.
-    routes_of_robot: dict[int, Routes] = {}
-    for radius in {robot.rounding for robot in robots}:
-        members = [i for i, robot in enumerate(robots) if robot.rounding == radius]
-        all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[members], problem.goals[members])
-        routes_of_robot.update(zip(members, all_routes, strict=True))
-    all_routes = [routes_of_robot[i] for i in range(len(robots))]
+    poses = zip(robots, problem.starts, problem.goals, strict=True)
+    all_routes = [_cached_roadmap(workspace, robot.rounding).routes_of(*ends) for robot, *ends in poses]
     reach = _touch_distances(problem)
     chosen = [route for routes in all_routes if (route := routes.shortest())]
     if len(chosen) < len(robots):

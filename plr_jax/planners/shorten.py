@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import ragged_indices, require_time, take_ragged
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, circles_along, within_reach
+from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, within_reach
 from plr_jax.robots import between
 
 Path = Float[np.ndarray, "steps robots dof"]
@@ -182,7 +182,7 @@ def _shortened_in_corridors(
     first_row = np.arange(rows.start, rows.stop - 1)
     weights = problem.rotation_weights
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
-    around = [circles_along(corridor) for corridor in corridors]
+    around = [circles(corridor[:-1], corridor[1:]) for corridor in corridors]
     # 1. Compute the costs of each robot's motions alone: entry [k, a, b] from configuration a of row k to b of row
     #    k + 1. Configuration 0 is the present one.
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in zip(robots, corridors, strict=True)]

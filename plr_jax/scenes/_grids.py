@@ -32,8 +32,9 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
     References: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
     https://movingai.com/benchmarks/formats.html.
     """
-    with errors_named(path) as file:
-        return Workspace.from_mask(_passable_cells(text_of(file).splitlines()), tolerance=0, squeeze=squeeze)
+    cells = read_cells(path)
+    with errors_named(path):
+        return Workspace.from_mask(cells, tolerance=0, squeeze=squeeze)
 
 
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
@@ -44,32 +45,28 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
     Its points are cells of a :class:`GridGraph`; add 0.5 for the centers of these cells in :func:`read_map`.
     """
     with errors_named(path) as file:
-        return _passable_cells(text_of(file).splitlines())
-
-
-def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
-    """Return which cells are passable, ``(rows, columns)``, given the lines of a ``.map`` file, in their order."""
-    # 1. Read the numbers of rows and columns in the header.
-    match [line.split() for line in lines[:_HEADER_LINES]]:
-        case [["type", _], ["height", height], ["width", width], ["map"]] if (
-            height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
-        ):
-            rows, columns = int(height), int(width)
-        case _:
-            header = "the lines 'type octile', 'height N', 'width N' and 'map'"
-            got = shortened(lines[:_HEADER_LINES])
-            raise ValueError(f"expected a Moving AI map that begins with {header}, got {got}.")
-    # 2. Read the rows, one character per cell; more lines may follow.
-    grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
-    if len(grid) < rows:
-        raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
-    for number, line in enumerate(grid, start=_HEADER_LINES + 1):
-        if len(line) != columns:
-            raise ValueError(f"line {number}: expected {columns} cells, got {len(line)}.")
-    free = np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))
-    if not free.any():
-        raise ValueError(f"expected at least one passable cell (one of {', '.join(_PASSABLE)}), got none.")
-    return free
+        lines = text_of(file).splitlines()
+        # 1. Read the numbers of rows and columns in the header.
+        match [line.split() for line in lines[:_HEADER_LINES]]:
+            case [["type", _], ["height", height], ["width", width], ["map"]] if (
+                height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0
+            ):
+                rows, columns = int(height), int(width)
+            case _:
+                header = "the lines 'type octile', 'height N', 'width N' and 'map'"
+                got = shortened(lines[:_HEADER_LINES])
+                raise ValueError(f"expected a Moving AI map that begins with {header}, got {got}.")
+        # 2. Read the rows, one character per cell; more lines may follow.
+        grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
+        if len(grid) < rows:
+            raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
+        for number, line in enumerate(grid, start=_HEADER_LINES + 1):
+            if len(line) != columns:
+                raise ValueError(f"line {number}: expected {columns} cells, got {len(line)}.")
+        free = np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))
+        if not free.any():
+            raise ValueError(f"expected at least one passable cell (one of {', '.join(_PASSABLE)}), got none.")
+        return free
 
 
 def read_volume(path: str | os.PathLike[str]) -> Bool[np.ndarray, "..."]:
