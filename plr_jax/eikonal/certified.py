@@ -20,7 +20,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.oracles import VoxelGraph
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.certificate import MOST_GOALS, Certificate, LeafBounds, Proof, StraightBound
+from plr_jax.plr.certificate import MOST_GOALS, Certificate, Proof, StraightBound
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaf_faces import overlapping_leaves
@@ -166,7 +166,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     if isinstance(field.space, VoxelSpace) and field.program.costs.cost_map is None:
         upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
     rounding = contents.leaf.rounding_bounds(contents.domain, cells, coefficients) + changes
-    certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
+    certificate = Certificate.of(lower, upper, rounding, Proof.OPEN_LEAVES)
     return replace(contents, certificate=certificate, straight=straight)
 
 

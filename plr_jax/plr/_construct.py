@@ -15,7 +15,7 @@ from plr_jax._arrays import as_bool, as_distances, as_number, require_function, 
 from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.plr import sampling
-from plr_jax.plr._file import DecodedFile, certificate_of, cut_off_leaves, encode, filled_coefficients
+from plr_jax.plr._file import DecodedFile, certificates_of, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.folding import Folding, folding_of
@@ -261,7 +261,7 @@ def _build_leaves(
     if proof is not Proof.NONE and cache is not None:
         try:
             visible = cache.sources_of_leaves(tree) if visible is None else visible
-            contents = replace(contents, certificate=certificate_of(contents, visible, proof))
+            contents = replace(contents, certificate=certificates_of([contents], visible, proof)[0])
         except KeyboardInterrupt:
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
@@ -442,7 +442,8 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain)(grown_domain(plr.domain))
     visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)
-    proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof), straight=None)
+    (certificate,) = certificates_of([plr._contents], visible, proof)
+    proven = replace(plr._contents, certificate=certificate, straight=None)
     return plr_of_leaves(proven).with_label(plr.label)
 
 

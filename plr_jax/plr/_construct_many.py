@@ -5,8 +5,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -24,6 +23,8 @@ from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_m
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.sampling import reach_of, run_tasks
 
+Tasks: TypeAlias = dict[tuple[int, ...], Callable[[], list[bytes]]]
+"""For each task of a worker: the indices of oracles, and a function that returns the bytes of their files."""
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that an interrupt keeps what is finished
 
 
@@ -108,16 +109,16 @@ def construct_many(
         key = id(oracle.family) if is_member else -1 - number
         families.setdefault(key, []).append(number)
     # 3. Divide the groups into tasks for workers, and run them.
-    chunks: list[Chunk] = []
+    tasks: Tasks = {}
     for key, numbers in families.items():
         first = oracles[numbers[0]]
         task = family_task(first, domain, limits) if key >= 0 and isinstance(first, FamilyFn) else None
         work = partial(_files, alone, task, leaf_model(model.name))
-        split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
-        chunks += [Chunk(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
+        for part in np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1))):
+            tasks[tuple(part.tolist())] = partial(work, [oracles[i] for i in part])
     total = len(oracles)
     with tqdm(desc="construct_many", unit=" PLRs", total=total, delay=2, leave=False, disable=None) as progress:
-        files, is_interrupted = build_chunks(chunks, executor, progress)
+        files, is_interrupted = build_files(tasks, executor, progress)
     if is_interrupted:
         message = f"Interrupted at {len(files)} of {total} PLRs: the list has None for the others."
         warnings.warn(message, ConstructionInterrupted, stacklevel=2)
@@ -146,30 +147,22 @@ def _files(
     return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]
 
 
-class Chunk(NamedTuple):
-    """A task of one worker, which computes the bytes of several results, such as files of PLRs."""
+def build_files(tasks: Tasks, executor: Executor | None, progress: tqdm) -> tuple[dict[int, bytes], bool]:
+    """Build the files of all tasks on parallel workers.
 
-    indices: list[int]  # of the results among those of all chunks
-    compute: Callable[[], list[bytes]]  # returns the bytes of each result
-
-
-def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> tuple[dict[int, bytes], bool]:
-    """Compute the results of all chunks, such as files of PLRs, on parallel workers.
-
-    ``executor`` computes the chunks. If it is None or a worker dies, threads of this process compute the missing
-    chunks. ``progress`` counts the results. Return the finished results by index, and whether an interrupt (Ctrl-C)
-    stopped the computation.
+    ``executor`` runs the tasks. If it is None or a worker dies, threads of this process run the missing tasks.
+    ``progress`` counts the files. Return the finished files by index, and whether an interrupt (Ctrl-C) stopped the
+    construction.
     """
-    done: dict[int, list[bytes]] = {}  # results of finished chunks
+    done: dict[tuple[int, ...], list[bytes]] = {}  # files of finished tasks
     is_interrupted = False
     threads = ThreadPoolExecutor(num_cores())
     try:
         for pool in (threads,) if executor is None else (executor, threads):
-            missing = {number: chunk.compute for number, chunk in enumerate(chunks) if number not in done}
-            run_tasks(pool, missing, done, progress)
+            run_tasks(pool, {key: task for key, task in tasks.items() if key not in done}, done, progress)
     except KeyboardInterrupt:
         is_interrupted = True
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
-    pairs = (zip(chunks[number].indices, results, strict=True) for number, results in done.items())
-    return dict(chain.from_iterable(pairs)), is_interrupted
+    files = {number: file for key, built in done.items() for number, file in zip(key, built, strict=True)}
+    return files, is_interrupted

@@ -18,7 +18,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.certificate import (
     Certificate,
     Errors,
-    LeafBounds,
     LeafFunctions,
     Proof,
     StraightBound,
@@ -167,18 +166,11 @@ def filled_coefficients(contents: DecodedFile, given: Coefficients | None = None
     return coefficients
 
 
-def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove bounds of each leaf's error, and encode them for the PLR's file.
-
-    ``visible`` has, for each leaf, the corners (or the goal) to which shortest paths from the leaf may go first.
-    """
-    return certificates_of([contents], visible, proof)[0]
-
-
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove the bounds of several PLRs of one leaf model and one domain at once; see :func:`certificate_of`.
+    """Prove bounds of each leaf's error, and encode them for files of PLRs of one leaf model and one domain.
 
-    The cells of ``visible`` are the leaves of all PLRs, one PLR after another.
+    The cells of ``visible`` are the leaves of all PLRs, one PLR after another. It has the corners (or the goal) to
+    which shortest paths from each leaf may go first.
     """
     # 1. Concatenate the functions of all leaves. A leaf without a function may have no point that reaches the goal.
     domain, leaf = contents[0].domain, contents[0].leaf
@@ -215,8 +207,8 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
         return low, high
 
     # 3. Prove the bounds together, and encode them for each file.
-    proven = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
-    return [target.encode(proven.lower[target.leaves], proven.upper[target.leaves]) for target in targets]
+    lower, upper = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
+    return [target.encode(lower[target.leaves], upper[target.leaves]) for target in targets]
 
 
 @dataclass(eq=False)
@@ -233,7 +225,7 @@ class _SufficientBounds:
     attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call, one in each row
 
     def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
-        return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
+        return self.certificate(lower, upper, self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.

@@ -108,19 +108,12 @@ before.
 """
 
 
-@dataclass(frozen=True, eq=False)
-class LeafBounds:
-    """Bounds of (distance to the goal - leaf function) for each leaf, over its points that reach the goal."""
-
-    lower: Errors
-    upper: Errors
-
-
-def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
+def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> tuple[Errors, Errors]:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    ``visible`` has convex pieces of the leaves' free space. Pieces are halved until their bounds are as tight as
-    ``sufficient`` demands. The bounds include ``visible.slack``, the uncertainty of distances.
+    Return lower and upper bounds over all points of each leaf that reach the goal. ``visible`` has convex pieces of
+    the leaves' free space. Pieces are halved until their bounds are as tight as ``sufficient`` demands. The bounds
+    include ``visible.slack``, the uncertainty of distances.
     """
     # Each leaf has an interval [least, most] of *attained* errors (distance - function), and each piece an interval
     # [below, above] that encloses its errors. Branch and bound closes the gap between both:
@@ -197,7 +190,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
     for _, of_leaf, low, high in (*aside, (visible, leaf, below, above)):
         np.minimum.at(lower, of_leaf, low)
         np.maximum.at(upper, of_leaf, high)
-    return LeafBounds(lower - slack, upper + slack)
+    return lower - slack, upper + slack
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
@@ -317,7 +310,8 @@ class Certificate:
 
     @staticmethod
     def of(
-        bounds: LeafBounds,
+        lower: Errors,
+        upper: Errors,
         rounding: Errors,
         proof: Proof,
         volume: Errors | float = 1.0,
@@ -331,7 +325,7 @@ class Certificate:
         If the shared bounds of an earlier certificate ``before`` suffice, they are used again.
         """
         # 1. Lengths of the intervals below and above the leaf's function, and a scale that is at least all of them.
-        lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
+        lower, upper = np.maximum(rounding - lower, 0.0), np.maximum(rounding + upper, 0.0)
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:

@@ -86,8 +86,9 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     Leaves marked ``unreachable``, from which the goal cannot be reached, have no values. ``ValueError`` if the
     constraints have too many weights.
     """
-    from scipy.sparse import coo_array, csr_array
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse import csr_array
+
+    from plr_jax.geometry.graph import connected_groups  # imports SciPy
 
     num_leaves, dim = len(tree.leaves), tree.leaves.dim
     num_nodes = num_leaves << dim
@@ -103,11 +104,9 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     corner = t.astype(np.int64) @ (1 << np.arange(dim)[::-1])  # t == corner_bits[corner], if t is a corner
     node = (leaf << dim) + corner
     # 2. Groups: nodes of tied leaves that are the same point, numbered by their first node.
-    pairs = tuple(node[:, is_shared])
-    graph = coo_array((np.ones(len(pairs[0])), pairs), (num_nodes, num_nodes))
-    num_groups, label = connected_components(graph, directed=False)
+    label = connected_groups(num_nodes, node[:, is_shared])
     _, first_node = np.unique(label, return_index=True)
-    rank = np.argsort(np.argsort(first_node))  # of each label, by its first node
+    num_groups, rank = len(first_node), np.argsort(np.argsort(first_node))  # of each label, by its first node
     group = rank[label]
     # 3. Hanging groups: corners of one leaf that are no corner of the other. Interpolate each from the first leaf on
     #    which it hangs, until only free groups remain. Row i of `of_groups` then has the weights of free groups in
@@ -220,23 +219,6 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     functions of :func:`basis_values`. Rows of the matrix are sorted by leaf.
     """
     return space.values if order == 0 else _values_and_derivatives(space)
-
-
-def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
-    """Return the coefficients of planes in the basis of :func:`basis_values`, one plane in each row.
-
-    ``center[i]`` is the value of plane ``i`` in the middle of a leaf, ``half[i]`` its change from the middle to the
-    upper face along each axis.
-    """
-    corners = corner_bits(half.shape[1])
-    values = center[:, None] + half @ (2 * corners - 1).T
-    if order == 0:
-        return values
-    coefficients = np.zeros((*values.shape, len(corners)))
-    coefficients[:, :, 0] = values
-    along_one_axis = 1 << np.arange(half.shape[1])[::-1]  # kinds of derivatives
-    coefficients[:, :, along_one_axis] = 2 * half[:, None]  # a leaf has width 1 in t
-    return coefficients.reshape(len(values), -1)
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:

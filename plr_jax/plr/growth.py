@@ -280,8 +280,8 @@ _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of few
 _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
 _SAMPLES_AT_ONCE = 2**20  # about as many samples of cells are fitted at once
 _LAST_SHARE = 32  # a round makes at least 1/32 of all splits that were made or are possible, if so many are allowed
-FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
-"""Function ``(cells, parent_keys)`` that samples and fits cells, applies the split rules, and returns nodes."""
+NodesOf: TypeAlias = Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]
+"""Function ``(fit, parent_keys)`` that turns fitted cells, and their parents' keys, into nodes of a growing tree."""
 
 
 class Encoding(NamedTuple):
@@ -292,36 +292,28 @@ class Encoding(NamedTuple):
     rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values
 
 
-def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
-    """Return a function that turns cells, and their parents' keys (see :class:`Nodes`), into nodes of a growing tree.
+def fit_nodes(sampler: Sampler, nodes_of: NodesOf, cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
+    """Sample and fit cells, about a million samples at a time, and return the nodes of a growing tree.
 
-    The function samples and fits cells, about a million samples at a time, and calls ``nodes_of(fit, parent_keys)``.
-    Cells in which few samples reach the goal are sampled again, more densely.
+    ``parent_key`` has the keys of the cells' parents (see :class:`Nodes`). Cells in which few samples reach the goal
+    are sampled again, more densely.
     """
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
-
-    def fit_nodes(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
-        parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-        first, *others = (fit_part(cells[part], parent_key[part]) for part in parts)
-        return first.append(*others)
-
-    def fit_part(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
-        fit = sampler(cells)
-        is_dense = fit.is_hardly_seen
-        if not is_dense.any():
-            return nodes_of(fit, parent_key)
+    order, nodes = [], []
+    for begin in range(0, len(cells), at_once):
+        fit = sampler(cells[begin : begin + at_once])
         # Two patterns cannot share a CellFit: make the nodes of each, then restore the order of the cells.
-        order = np.concatenate([np.flatnonzero(~is_dense), np.flatnonzero(is_dense)])
-        dense_fit = sampler.sample_densely(cells[is_dense])
-        fits = (fit[~is_dense], parent_key[~is_dense]), (dense_fit, parent_key[is_dense])
-        first, *others = (nodes_of(*fit_and_keys) for fit_and_keys in fits if len(fit_and_keys[1]))
-        return first.append(*others)[np.argsort(order)]
-
-    return fit_nodes
+        for is_dense in (False, True):
+            rows = np.flatnonzero(fit.is_hardly_seen == is_dense)
+            if len(rows):
+                of_rows = sampler.sample_densely(fit.cells[rows]) if is_dense else fit[rows]
+                nodes.append(nodes_of(of_rows, parent_key[begin + rows]))
+                order.append(begin + rows)
+    return nodes[0].append(*nodes[1:])[np.argsort(np.concatenate(order))]
 
 
 def grow_best_first(
-    root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
+    root: Nodes, sampler: Sampler, nodes_of: NodesOf, limits: Limits, encoding: Encoding
 ) -> tuple[Nodes, Leaves, int]:
     """Split the leaves of highest priority first, until a limit is reached.
 
@@ -347,8 +339,8 @@ def grow_best_first(
         batch = unsplit[: max((len(unsplit) + 1) // 2, len(order) // _LAST_SHARE)]
         if len(batch) == 0:
             return None
-        children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
-        grown = nodes.append(children)
+        halves, keys = nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2)
+        grown = nodes.append(fit_nodes(sampler, nodes_of, halves, keys))
         grown.child[batch] = len(nodes.key) + 2 * np.arange(len(batch))
         check_memory(float(len(grown.key)))
         return grown

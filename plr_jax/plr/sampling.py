@@ -416,27 +416,27 @@ class ParallelOracle:
 
 
 def run_tasks(
-    pool: Executor, tasks: Mapping[int, Callable[[], Any]], results: dict[int, Any], progress: tqdm | None = None
+    pool: Executor, tasks: Mapping[Any, Callable[[], Any]], results: dict[Any, Any], progress: tqdm | None = None
 ) -> None:
-    """Run tasks on the workers of a pool, and add the result of each finished task to ``results``, by its number.
+    """Run tasks on the workers of a pool, and add the result of each finished task to ``results``, by its key.
 
     If workers die or an interrupt (Ctrl-C) stops the computation, the results of some tasks stay missing.
     ``progress`` counts the items of the results.
     """
-    numbers: dict[Future[Any], int] = {}
+    key_of: dict[Future[Any], Any] = {}
     try:
         with suppress(BrokenExecutor):
-            for number, task in tasks.items():
-                numbers[pool.submit(task)] = number
-        for future in as_completed(numbers):
+            for key, task in tasks.items():
+                key_of[pool.submit(task)] = key
+        for future in as_completed(key_of):
             with suppress(BrokenExecutor):
-                results[numbers[future]] = future.result()
+                results[key_of[future]] = future.result()
                 if progress is not None:
                     progress.update(len(future.result()))
     finally:  # after an interrupt or an error, keep also what is finished, but not collected yet
-        for future, number in numbers.items():
+        for future, key in key_of.items():
             if not future.cancel() and future.done() and future.exception() is None:
-                results[number] = future.result()
+                results[key] = future.result()
 
 
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:

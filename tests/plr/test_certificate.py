@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plr_jax.plr.bound_classes import classify_bounds, read_classes, write_classes
-from plr_jax.plr.certificate import Certificate, LeafBounds, Proof, StraightBound, read_proof, write_proof
+from plr_jax.plr.certificate import Certificate, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter
 
 # Certificates in files.
@@ -32,7 +32,7 @@ def test_stored_bounds_are_rounded_outward_and_read_as_written(seed, scale, proo
     below[:5], above[3:9] = 0.0, 0.0
     rounding = 10.0 ** (scale - 7) * rng.random(50)
     is_open = (rng.random(50) < 0.3) & (proof is Proof.OPEN_LEAVES)
-    certificate = Certificate.of(LeafBounds(below, np.where(is_open, np.inf, above)), rounding, proof)
+    certificate = Certificate.of(below, np.where(is_open, np.inf, above), rounding, proof)
     lower, upper = certificate.bounds()
     least, most = below - rounding, above + rounding
     largest = max(-least.min(), most[~is_open].max())
@@ -76,7 +76,7 @@ def test_straight_lower_bounds_are_read_as_written_and_checked():
 
 @pytest.mark.parametrize(("upper", "proof"), [(0.0, Proof.LEAVES), (np.inf, Proof.OPEN_LEAVES)])
 def test_bounds_of_zero_and_infinity_can_be_stored(upper, proof):
-    certificate = Certificate.of(LeafBounds(np.zeros(3), np.full(3, upper)), np.zeros(3), proof)
+    certificate = Certificate.of(np.zeros(3), np.full(3, upper), np.zeros(3), proof)
     lower, stored = certificate.bounds()
     assert (lower <= 0).all() and (lower > -1e-37).all() and (stored >= upper).all()
     assert certificate.max_error > 0 and (certificate.max_error < 1e-37) == (upper == 0)
@@ -147,11 +147,11 @@ def test_classes_stay_where_they_hold_after_some_leaves_change(seed):
     error, rounding = rng.uniform(1e-4, 2e-4, 5_000), np.full(5_000, 1e-9)
     error[:20] = rng.uniform(0.05, 0.1, 20)
     error[0] = 0.1
-    before = Certificate.of(LeafBounds(-error, error), rounding, Proof.CLASSES, 1.0, 8_000)
+    before = Certificate.of(-error, error, rounding, Proof.CLASSES, 1.0, 8_000)
     new = rng.permutation(5_000)[:300]
     error[new] = rng.uniform(1e-5, 2e-4, 300)
     error[:2] = 0.1, 0.01 if seed % 4 else 0.2
-    after = Certificate.of(LeafBounds(-error, error), rounding, Proof.CLASSES, 1.0, 8_000, before)
+    after = Certificate.of(-error, error, rounding, Proof.CLASSES, 1.0, 8_000, before)
     lower, upper = after.bounds()
     assert (lower <= -error - rounding).all() and (upper >= error + rounding).all()
     classes = {tuple(each) for each in before.bounds().T.tolist()}

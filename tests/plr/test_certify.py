@@ -213,7 +213,7 @@ def test_interrupted_proof_leaves_an_unproven_plr(maze, monkeypatch):
         raise KeyboardInterrupt
 
     whole = construct(maze, UNIT, max_leaves=20, certified=True)
-    monkeypatch.setattr("plr_jax.plr._construct.certificate_of", interrupt)
+    monkeypatch.setattr("plr_jax.plr._construct.certificates_of", interrupt)
     with pytest.warns(ConstructionInterrupted, match="has no certificate"):
         plr = construct(maze, UNIT, max_leaves=20, certified=True)
     assert plr.max_error is None

@@ -17,14 +17,14 @@ from plr_jax._arrays import hash64, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.finite_elements import NodalSpace, basis_values, coefficient_matrix, nodal_space, plane_coefficients
+from plr_jax.plr.finite_elements import NodalSpace, basis_values, coefficient_matrix, nodal_space
 from plr_jax.plr.finite_elements import monomials as monomials_of_order
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.leaves.base import MAX_TIED_DIM, UNIT, Coefficients, PolynomialLeafModel, Rules, read_step
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
-from plr_jax.plr.tree import Cells, Tree, tree_of
+from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -432,7 +432,15 @@ class Continuous(PolynomialLeafModel):
         return basis_values(self.order, (u + 1) / 2)
 
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
-        return plane_coefficients(self.order, center, half)
+        corners = corner_bits(half.shape[1])
+        values = center[:, None] + half @ (2 * corners - 1).T
+        if self.order == 0:
+            return values
+        coefficients = np.zeros((*values.shape, len(corners)))
+        coefficients[:, :, 0] = values
+        along_one_axis = 1 << np.arange(half.shape[1])[::-1]  # kinds of derivatives
+        coefficients[:, :, along_one_axis] = 2 * half[:, None]  # a leaf has width 1 in t
+        return coefficients.reshape(len(values), -1)
 
     def monomials(self, dim: int) -> Float[np.ndarray, "terms powers"]:
         return monomials_of_order(self.order, dim)

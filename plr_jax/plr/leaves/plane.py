@@ -1,11 +1,10 @@
-"""Planes, and the base class of all leaf models that fit each leaf to its own samples alone: growth and files.
+"""Planes, each fitted to the samples of its leaf alone: growth and files.
 
 The tree grows best first. A file stores coefficients as scaled integers or as 32-bit floats; ``portable/FORMAT.md``
 describes the bits. All coefficients but the first, the value at the center, shrink as cells are halved. So the file
 has a bit width for each of these coefficients and each number of halvings.
 """
 
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +19,7 @@ from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, Corner, table_corners
-from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
+from plr_jax.plr.growth import Encoding, Limits, Nodes, grow_best_first, largest_error, nodes_of_fit
 from plr_jax.plr.leaves.base import (
     UNIT,
     Coefficients,
@@ -59,13 +58,13 @@ class StoredCoefficients:
     def unreachable(self) -> Bool[np.ndarray, " leaves"]:
         return self.center == unreachable_code(self.bits)
 
-    def widths(self, halvings: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each of the ``others``, the bits per number in leaves of 0, 1, ... ``halvings``."""
+    def widths(self, depth: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
+        """Return, for each of the ``others``, the bits per number in leaves halved 0, 1, ... times along its axis."""
         # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
-        for index, most in enumerate(halvings.max(axis=0)):
+        for index, most in enumerate(depth.max(axis=0)):
             largest = np.zeros(most + 1, np.int64)
-            np.maximum.at(largest, halvings[:, index], np.abs(self.others[:, index]))
+            np.maximum.at(largest, depth[:, index], np.abs(self.others[:, index]))
             bits = np.frexp(largest)[1] + (largest > 0)
             widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
         return widths
@@ -108,38 +107,31 @@ def quantize(center: Distances, others: Coefficients, bits: int) -> StoredCoeffi
 
 
 @dataclass(frozen=True)
-class IndependentLeafModel(LinearLeafModel):
-    """A base class of leaf models that fit the function of each leaf to the samples in this leaf alone.
+class Plane(LinearLeafModel):
+    """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
 
-    Functions may jump between leaves. The first coefficient is the value at a leaf's center. The others shrink as the
-    cell is halved: see :meth:`halvings`. There are ``min_samples(dim)`` coefficients. ``coefficient_bits`` is the
-    number of bits of a stored center value, as in :class:`Plane`.
+    The plane of a leaf is fitted to the samples in this leaf alone. Coefficients are the value at a leaf's center,
+    then half of the rise across the leaf along each axis.
+
+    Args:
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Slopes usually
+            take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from 8 to 16 with the
+            smallest expected error of fit and rounding. Other values raise ``ValueError``.
     """
 
     coefficient_bits: int | None = None
+    name = "plane"
+    num_samples = 192
+    least_bytes = 2
+    has_exact_cone_bounds = True
     splits_by_proven_error = True
+    has_compact_code = True
 
     def __post_init__(self):
         bits, allowed = self.coefficient_bits, (FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1))
         if bits is not None and not (isinstance(bits, int | np.integer) and bits in allowed):
             expected = f"an integer, {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}"
             raise ValueError(f"coefficient_bits must be {expected}, got {bits!r}.")
-
-    @abstractmethod
-    def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
-        """Return the number of halvings that have shrunk each coefficient but the first of each leaf.
-
-        For planes, this is the depth along the coefficient's axis. In a file, coefficients that have the same index
-        and as many halvings have one bit width.
-        """
-
-    def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:
-        """Fit a function to the samples of each cell; return its coefficients, and the fit with its residuals.
-
-        By default, functions are the planes of ``fit``, which a cell without samples that reach the goal may have,
-        too. If the center value of a plane is ``inf``, the first coefficient must be ``inf``.
-        """
-        return fit, self.coefficients_of_planes(fit.center, fit.half)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         # 32 KB allow 9 halvings along each axis of the plane; deep cells next to the goal have smaller errors.
@@ -152,7 +144,8 @@ class IndependentLeafModel(LinearLeafModel):
 
         # 1. Nodes of the tree are cells with functions and priorities: proven errors if possible, else the rule's.
         def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
-            fit, coefficients = self.fit_functions(fill_unsampled_planes(fit, sampler))
+            fit = fill_unsampled_planes(fit, sampler)
+            coefficients = self.coefficients_of_planes(fit.center, fit.half)
             if by_proof and sampler.cache is not None:
                 finite = np.where(np.isfinite(coefficients), coefficients, 0.0)
                 functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), finite)
@@ -162,8 +155,8 @@ class IndependentLeafModel(LinearLeafModel):
             return nodes_of_fit(fit, coefficients, parent_key, priority, np.asarray(rules.split(fit)), limits)
 
         # 2. The bits per value decide the size of a file and its rounding errors. The error of a coefficient has the
-        # variance step**2 / 12, and each but the first is multiplied by a function. For planes, this is a coordinate
-        # from -1 to 1, whose square has the mean 1/3. Others are taken to be alike: step**2 / 12 * (1 + others / 3).
+        # variance step**2 / 12, and each but the first is multiplied by a coordinate from -1 to 1, whose square has
+        # the mean 1/3. So the variance of a plane is step**2 / 12 * (1 + others / 3).
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredCoefficients:
             return quantize(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
@@ -180,13 +173,12 @@ class IndependentLeafModel(LinearLeafModel):
         # 3. Grow the tree.
         root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
         encoding = Encoding(choices, size, rounding_error)
-        nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
+        nodes, leaf, bits = grow_best_first(root, sampler, nodes_of, limits, encoding)
         tree = tree_of(nodes.cells[leaf])
         return tree, stored(nodes, leaf[tree.order], bits), None
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCoefficients) -> None:
-        is_reachable, halvings = ~stored.unreachable, self.halvings(cells)
-        widths = stored.widths(halvings)
+        is_reachable, widths = ~stored.unreachable, stored.widths(cells.depth)
         body.write(np.array([stored.bits]), _WIDTH_BITS)
         if stored.bits != FLOAT_BITS:
             body.write_floats(np.array([stored.offset, stored.step]))
@@ -194,7 +186,7 @@ class IndependentLeafModel(LinearLeafModel):
             body.write(each, _WIDTH_BITS)
         body.write(stored.center, stored.bits)
         for index, each in enumerate(widths):
-            width = each[halvings[is_reachable, index]]
+            width = each[cells.depth[is_reachable, index]]
             body.write(stored.others[is_reachable, index] & ((1 << width) - 1), width)  # two's complement
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCoefficients:
@@ -203,14 +195,13 @@ class IndependentLeafModel(LinearLeafModel):
             raise ValueError(f"it states {bits}-bit values")
         if bits != FLOAT_BITS:
             offset, step = read_step(body)
-        halvings = self.halvings(cells)
-        widths = [body.read_fixed_width(int(most) + 1, _WIDTH_BITS) for most in halvings.max(axis=0)]
+        widths = [body.read_fixed_width(int(most) + 1, _WIDTH_BITS) for most in cells.depth.max(axis=0)]
         if max(each.max() for each in widths) > FLOAT_BITS:
             raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-        center, others = body.read_fixed_width(len(cells), bits), np.zeros(halvings.shape, np.int64)
+        center, others = body.read_fixed_width(len(cells), bits), np.zeros(cells.depth.shape, np.int64)
         is_reachable = center != unreachable_code(bits)
         for index, each in enumerate(widths):
-            width = each[halvings[is_reachable, index]]
+            width = each[cells.depth[is_reachable, index]]
             code = body.read(width)  # two's complement
             others[is_reachable, index] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
         return StoredCoefficients(bits, offset, step, center, others)
@@ -233,27 +224,6 @@ class IndependentLeafModel(LinearLeafModel):
         choices = *range(MIN_BITS, MAX_BITS + 1), FLOAT_BITS
         quantized = (quantize(numbers[:, 0], numbers[:, 1:], bits) for bits in choices)
         return next(each for each in quantized if each.step <= step or each.bits == FLOAT_BITS)
-
-
-class Plane(IndependentLeafModel):
-    """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
-
-    Coefficients are the value at a leaf's center, then half of the rise across the leaf along each axis.
-
-    Args:
-        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Slopes usually
-            take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from 8 to 16 with the
-            smallest expected error of fit and rounding. Other values raise ``ValueError``.
-    """
-
-    name = "plane"
-    num_samples = 192
-    least_bytes = 2
-    has_exact_cone_bounds = True
-    has_compact_code = True
-
-    def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
-        return cells.depth
 
     def basis(self, u: Points) -> Coefficients:
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)

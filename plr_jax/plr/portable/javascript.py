@@ -118,13 +118,13 @@ def js_module(program: Program) -> str:
         "//",
         f"// distance({names}): distance to the goal from a point of the domain {format_domain(program.domain)};",
         "// Infinity outside the closed domain, NaN for NaN. It does not test for obstacles.",
-        *_lines_if(isinstance(leaf, Cone), waypoint),
-        *_lines_if(certificate is not None, bounds),
+        *[waypoint] * isinstance(leaf, Cone),
+        *[bounds] * (certificate is not None),
         "// Results equal those of plr.numpy() for 64-bit points, bit for bit.",
         "",
     ]
     # 2. Tables: the tree and the leaf parameters.
-    lines += [FROUND, *_lines_if(certificate is not None, NEXT_FLOAT)]
+    lines += [FROUND, *[NEXT_FLOAT] * (certificate is not None)]
     if len(tree.children):
         counters = f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"
         lines += [
@@ -135,7 +135,7 @@ def js_module(program: Program) -> str:
             "]);",
             f"const root = {tree.root};",
             f"const place = new Uint32Array({dim});",
-            *_lines_if(leaf.is_cell_relative, counters),
+            *[counters] * leaf.is_cell_relative,
         ]
     lines += [
         f"const numbers = new Float32Array([ // {rows.shape[1]} each",
@@ -209,12 +209,12 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     mask = (1 << tree.kind_bits) - 1
     bits = _TABLE_BITS // tree.dim  # of a grid cell's index along an axis
     statements = [
-        *_lines_if(of_cells, "count.fill(1);", "cell.fill(0);"),
+        *["count.fill(1);", "cell.fill(0);"] * of_cells,
         "let code = root;",
         f"for (let axis = code & {mask}; axis !== {tree.dim}; axis = code & {mask}) {{",
         "    const upper = place[axis] >>> 31;",
         "    place[axis] <<= 1;",
-        *_lines_if(of_cells, "    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"),
+        *["    count[axis] *= 2;", "    cell[axis] = 2 * cell[axis] + upper;"] * of_cells,
         f"    code = tree[2 * (code >>> {tree.kind_bits}) + upper];",
         "}",
         f"return code >>> {tree.kind_bits};",
@@ -257,7 +257,3 @@ def _decimal(number: Any) -> str:
 
 def js_function(signature: str, statements: list[str]) -> list[str]:
     return [f"{signature} {{", *indent(statements), "}", ""]
-
-
-def _lines_if(condition: bool, *lines: str) -> list[str]:
-    return list(lines) if condition else []

@@ -8,7 +8,6 @@ bits in the file are described in ``portable/FORMAT.md``.
 """
 
 from bisect import bisect_left
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -298,47 +297,24 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
     return front[np.searchsorted(changes, np.arange(num_leaves), side="right")]
 
 
+@dataclass(frozen=True, eq=False)
 class ConeFiles:
-    """An encoder of cone leaves that computes file sizes; ``sources`` are the possible apexes, corners and goals."""
+    """An encoder of cone leaves that computes file sizes."""
 
-    def __init__(self, sources: Sources, domain: Box) -> None:
-        self._sources, self._domain = sources, domain
-        self._is_off = off_lattices(sources.points, domain)
-        self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
+    sources: Sources  # possible apexes: goals and corners
+    domain: Box
 
-    def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return an encoder for another goal; ``sources`` are that goal, then the same corners in the same order."""
-        files = copy(self)
-        files._sources, files._cache = sources, {}
-        files._is_off = np.append(off_lattices(sources.points[:1], self._domain), self._is_off[1:], axis=0)
-        return files
+    @cached_property
+    def _is_off(self) -> Bool[np.ndarray, "sources fractions"]:
+        return off_lattices(self.sources.points, self.domain)
 
     def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
         """Encode cone leaves; ``source`` has the index of each leaf's apex among the sources.
 
         A negative index (-1 or ``CUT_OFF``) marks a leaf without a path to the goal; it gets another leaf's apex.
-        """
-        return self._stored(source)[0]
-
-    def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
-        """Return the size in bytes of a file of leaves with the apexes ``source``: see :meth:`Limits.file_size`.
-
-        Apexes are indices of sources; a leaf that is cut off from the goal has ``CUT_OFF``.
-        """
-        cones, num_bits = self._stored(source)
-        _write_ranks(body := BitWriter(), cones.source)
-        num_cut_off = int(np.count_nonzero(source == CUT_OFF))
-        return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits, num_cut_off)
-
-    def fit(self, limits: Limits, source: Int[np.ndarray, " leaves"]) -> bool:
-        return self.num_bytes(source, limits) <= limits.max_bytes
-
-    def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
-        """Encode leaves, given the index of each leaf's apex; also return the number of bits of the sources.
-
         Only the sources on paths from the apexes to the goal are encoded.
         """
-        sources = self._sources
+        sources = self.sources
         # 1. A leaf without a path gets the apex of the last leaf before it that has one (else of the first).
         leaf = np.flatnonzero(source >= 0)
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
@@ -350,17 +326,23 @@ class ConeFiles:
             added = sources.parents[added]
             added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
-        # 3. Encode them, unless the same sources were encoded before. `row` is the place of a source in `kept`, or of
-        #    another one for sources that are not kept and that no leaf has. Goals are the first sources.
-        key = kept.tobytes()
-        if key not in self._cache:
-            row = np.searchsorted(kept, np.arange(len(sources.parents)))
-            columns = sources.points[kept], sources.distances[kept], row[sources.parents[kept]]
-            goals = None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]]
-            stored, index = store_sources(Sources(*columns, goals), self._domain, self._is_off[kept])
-            _write_sources(body := BitWriter(), self._domain, stored)
-            if stored.goals is not None:
-                write_goals(body, stored.goals)
-            self._cache[key] = stored, index[np.minimum(row, len(kept) - 1)], body.num_bits
-        stored, index, num_bits = self._cache[key]
-        return StoredCones(stored, index[source]), num_bits
+        # 3. Encode them. Goals are the first sources.
+        columns = sources.points[kept], sources.distances[kept], np.searchsorted(kept, sources.parents[kept])
+        goals = None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]]
+        stored, index = store_sources(Sources(*columns, goals), self.domain, self._is_off[kept])
+        return StoredCones(stored, index[np.searchsorted(kept, source)])
+
+    def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
+        """Return the size in bytes of a file of leaves with the apexes ``source``: see :meth:`Limits.file_size`.
+
+        Apexes are indices of sources; a leaf that is cut off from the goal has ``CUT_OFF``.
+        """
+        cones = self.stored(source)
+        write_cones(body := BitWriter(), self.domain, cones)
+        if cones.sources.goals is not None:
+            write_goals(body, cones.sources.goals)
+        num_cut_off = int(np.count_nonzero(source == CUT_OFF))
+        return limits.file_size(self.domain.dim, len(source), body.num_bits, num_cut_off)
+
+    def fit(self, limits: Limits, source: Int[np.ndarray, " leaves"]) -> bool:
+        return self.num_bytes(source, limits) <= limits.max_bytes

@@ -376,7 +376,6 @@ class FamilyTask:
 
     shared: Any
     lattice: Lattice
-    files: ConeFiles
     domain: Box
     limits: Limits
     num_leaves: float
@@ -393,7 +392,7 @@ class FamilyTask:
         if (goal.source < 0).all():
             return [None], None
         fits = fit_boxes(self.lattice, goal, query_resolution(goal.table[:, 2]))
-        files = self.files.of_goal(oracle.sources)
+        files = ConeFiles(oracle.sources, self.domain)
         tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
         source = fits.source[tree.box]
         if fits.is_mixed[tree.box].any():
@@ -423,4 +422,4 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | Wo
     position = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
     cells = Cells(np.full(position.shape, halvings), position)
     shared = first.shared_samples(*cells.boxes(domain))
-    return FamilyTask(shared, Lattice(halvings), ConeFiles(first.sources, domain), domain, limits, num_leaves)
+    return FamilyTask(shared, Lattice(halvings), domain, limits, num_leaves)

@@ -100,28 +100,6 @@ class _GoalTree:
         num_bytes = self._files.num_bytes(source, limits) if np.isfinite(limits.max_bytes) else 0
         return max(len(source) / limits.max_leaves, num_bytes / limits.max_bytes)
 
-    def most_splits(self, fits: int, share_of_fits: float, share_of_all: float) -> int:
-        """Return the largest number of splits whose tree is within the limits, or nearly the largest.
-
-        ``fits`` is a number of splits already known to be within the limits, or 0. ``share_of_fits`` and
-        ``share_of_all`` are the used shares of the limits (:meth:`used_share`) for ``fits`` splits and for all
-        splits.
-        """
-        # False position: the used share counts as linear between a number of splits that fits and one beyond.
-        beyond, share_of_beyond = self.num_splits, share_of_all
-        if share_of_beyond <= 1:
-            return beyond
-        for _ in range(_ATTEMPTS):
-            if beyond - fits <= 1 or share_of_fits > _FULL:
-                break
-            aim = np.clip(((1 + _FULL) / 2 - share_of_fits) / (share_of_beyond - share_of_fits), 0.1, 0.9)
-            middle = min(max(fits + int(aim * (beyond - fits)), fits + 1), beyond - 1)
-            if (share := self.used_share(middle)) <= 1:
-                fits, share_of_fits = middle, share
-            else:
-                beyond, share_of_beyond = middle, share
-        return fits
-
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
         """Return the complete tree: the equal cut of the domain, then the first ``num_splits`` splits.
 
@@ -148,15 +126,29 @@ class _Search:
         """Return the number of splits of the goal's final tree, or None if the search must go on.
 
         The search goes on if ``tree`` with all its splits is within the limits and some nodes may still be halved.
-        Then the attribute ``threshold``, the error above which nodes are halved, is lowered.
+        Then the attribute ``threshold``, the error above which nodes are halved, is lowered. Else the final tree is
+        the largest tree within the limits, or nearly the largest.
         """
-        share = tree.used_share(tree.num_splits)
-        if share > 1 or not tree.largest_open_key:
-            return tree.most_splits(self._fits, self._share_of_fits, share)
-        self._fits, self._share_of_fits = tree.num_splits, share
-        growth = min(_GROWTH, _BEYOND / share)  # wanted number of leaves / number of leaves now
-        self.threshold = min(self.threshold, tree.largest_open_key) * growth**-_RATE
-        return None
+        beyond, share_of_beyond = tree.num_splits, tree.used_share(tree.num_splits)
+        if share_of_beyond <= 1 and not tree.largest_open_key:
+            return beyond
+        if share_of_beyond <= 1:
+            self._fits, self._share_of_fits = beyond, share_of_beyond
+            growth = min(_GROWTH, _BEYOND / share_of_beyond)  # wanted number of leaves / number of leaves now
+            self.threshold = min(self.threshold, tree.largest_open_key) * growth**-_RATE
+            return None
+        # False position: the used share counts as linear between a number of splits that fits and one beyond.
+        fits, share_of_fits = self._fits, self._share_of_fits
+        for _ in range(_ATTEMPTS):
+            if beyond - fits <= 1 or share_of_fits > _FULL:
+                break
+            aim = np.clip(((1 + _FULL) / 2 - share_of_fits) / (share_of_beyond - share_of_fits), 0.1, 0.9)
+            middle = min(max(fits + int(aim * (beyond - fits)), fits + 1), beyond - 1)
+            if (share := tree.used_share(middle)) <= 1:
+                fits, share_of_fits = middle, share
+            else:
+                beyond, share_of_beyond = middle, share
+        return fits
 
 
 @dataclass(frozen=True)
@@ -206,12 +198,11 @@ class WorstFirst:
 
         rounds = [fit(cells[box], visible)]  # the boxes of all nodes, in the order of the nodes
         nodes = nodes_of(rounds[0], goal, 0 * box - 1, box << (MAX_DEPTH + 1 - len(axes)), np.inf)
-        files = ConeFiles(oracles[0].sources, self.domain)
         largest_error = nodes.key.reshape(len(oracles), -1).max(axis=1)
         searches = {}
         for i, oracle in enumerate(oracles):
             if len(distances[i]):  # else no path leads to the goal
-                searches[i] = _Search(files.of_goal(oracle.sources), float(largest_error[i]))
+                searches[i] = _Search(ConeFiles(oracle.sources, self.domain), float(largest_error[i]))
         trees: list[tuple[Tree, StoredCones] | None] = [None] * len(oracles)
         leaves = [np.zeros(0, np.int64)] * len(oracles)
         while searches:
