@@ -60,6 +60,7 @@ from .plr import NumpyPLR as NumpyPLR
 from .plr import PLRStack as PLRStack
 from .plr import Traces as Traces
 from .plr import TraceStatus as TraceStatus
+from .plr import TunablePLR as TunablePLR
 from .plr import best_axis as best_axis
 from .plr import center_error as center_error
 from .plr import certify as certify

@@ -19,7 +19,7 @@ LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision 
     cli guides / __main__"""
 PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame coding sampling /
     bound_classes container / certificate / growth / best_partition / leaves / _file /
-    tables / query / team / portable / _plr / _stack / _trace / _construct / _construct_many"""
+    tables / query / team / portable / _tunable / _plr / _stack / _trace / _construct / _construct_many"""
 PLANNER_LAYERS = """_heuristics _solution / lattice /
     best_first lacam reservations sequential shorten through_time / searches / driver / replanning"""
 PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less

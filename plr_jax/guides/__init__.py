@@ -21,6 +21,7 @@ classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`,
 | class | call | answer |
 | --- | --- | --- |
 | `plr_jax.PLR` | `plr(x)` | distance to the goal |
+| `plr_jax.TunablePLR` | `tunable(x)` | distance to the goal, by values that can be trained |
 | `plr_jax.NumpyPLR` | `f(x)` | distance to the goal, in NumPy |
 | `plr_jax.PLRStack` | `stack(index, x)` | distance to the goal of PLR number `index` |
 | `plr_jax.PairPLR`, `plr_jax.MetricPairs` | `pairs(x, y)` | distance between two points |

@@ -10,6 +10,7 @@ from ._stack import stack as stack
 from ._trace import Traces as Traces
 from ._trace import TraceStatus as TraceStatus
 from ._trace import trace as trace
+from ._tunable import TunablePLR as TunablePLR
 from .growth import ConstructionInterrupted as ConstructionInterrupted
 from .growth import best_axis as best_axis
 from .growth import center_error as center_error

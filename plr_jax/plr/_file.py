@@ -32,7 +32,7 @@ from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
 from plr_jax.plr.leaf_faces import neighbor_of_largest_contact
 from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code, read_goals, write_goals
-from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel
+from plr_jax.plr.leaves.base import Coefficients, LeafModel, LinearLeafModel
 from plr_jax.plr.tree import Tree
 
 _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of the domain's shorter side
@@ -130,15 +130,16 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
     return domain, numbers
 
 
-def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
+def filled_coefficients(contents: DecodedFile, given: Coefficients | None = None) -> Coefficients:
     """Return the coefficients of each leaf's function.
 
     A leaf without a function gets the plane of a neighbor with a function. If it has no such neighbor, or is cut off
-    from the goal, its first coefficient is ``inf``: the leaf answers ``inf``.
+    from the goal, its first coefficient is ``inf``: the leaf answers ``inf``. Coefficients that are
+    ``given`` take the place of those in the file, and are changed.
     """
     # 1. Find the leaves without a function. Leaves that are cut off answer ``inf``.
     leaf, cells = contents.leaf, contents.tree.leaves
-    coefficients = leaf.coefficients(cells, contents.stored)
+    coefficients = leaf.coefficients(cells, contents.stored) if given is None else given
     unreachable = coefficients[:, 0] == np.inf
     if not (np.abs(coefficients[~unreachable]) < LARGEST).all():
         raise ValueError(f"its distances must be below {LARGEST:g} for 32-bit floats; scale them down")

@@ -16,6 +16,7 @@ from plr_jax._compiled import has_doubles, is_on_one_host, pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile, decode, encode, filled_coefficients, relative_to_origin
+from plr_jax.plr._tunable import TunablePLR, parameter_map
 from plr_jax.plr.coding import BitReader, read_tree
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
@@ -44,7 +45,7 @@ class PLR(FileBacked):
     Putman et al., Section III.
 
     ``jax.grad`` differentiates with respect to points, but raises ``TypeError`` with respect to the PLR, because a
-    PLR has integer tables.
+    PLR has integer tables. To train the values that a PLR stores, see :meth:`tunable`.
     """
 
     array_names = "tables", "file", "band", "goals"
@@ -149,6 +150,26 @@ class PLR(FileBacked):
     def tables_from_corner(self) -> Tables:
         """Lookup tables of a domain far from the origin, for points relative to its lower corner."""
         return tables_of_contents(self._contents, self.domain.lo, self.table_class)
+
+    def tunable(self) -> TunablePLR:
+        """Return a function like this PLR whose stored values can be trained, as by optax: see :class:`TunablePLR`.
+
+        ``ValueError`` if leaves are cones, whose distances are no linear function of stored values, or if the PLR is
+        traced or stacked.
+        """
+        if isinstance(self.file, Tracer):
+            raise ValueError("A traced PLR cannot be trained: call tunable() outside of jit and pass on its result.")
+        return TunablePLR(self.parameter_map[1], self)
+
+    @cached_property
+    def parameter_map(self) -> tuple[Any, ...]:
+        """A map from changes of stored values to changes of :attr:`tables`, for :class:`TunablePLR`."""
+        return parameter_map(self._contents, self.tables, np.zeros(self.dim))
+
+    @cached_property
+    def parameter_map_from_corner(self) -> tuple[Any, ...]:
+        """A map from changes of stored values to changes of :attr:`tables_from_corner`."""
+        return parameter_map(self._contents, self.tables_from_corner, self.domain.lo)
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven bounds of the distance at points of free space from which the goal can be reached.

@@ -159,6 +159,21 @@ class LinearLeafModel(LeafModel):
         The rise is the change of the plane across the leaf along each axis.
         """
 
+    @abstractmethod
+    def free_values(self, cells: Cells, stored: Any) -> tuple[Distances, Any]:
+        """Return the numbers that determine the leaves' functions, and how coefficients follow from these numbers.
+
+        Any other finite numbers would do as well. The second result is a sparse matrix from the numbers to the
+        coefficients of all leaves, leaf by leaf. Rows of leaves without a function are 0.
+        """
+
+    @abstractmethod
+    def with_free_values(self, stored: Any, values: Distances, step: float | None) -> Any:
+        """Return stored data with other free values, rounded to multiples of at most ``step``.
+
+        If ``step`` is None, it is the step of ``stored``. A larger step is used if integers would get too large.
+        """
+
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 

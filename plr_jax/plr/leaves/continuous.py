@@ -22,7 +22,7 @@ from plr_jax.plr.finite_elements import monomials as monomials_of_order
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
-from plr_jax.plr.leaves.base import MAX_TIED_DIM, Coefficients, PolynomialLeafModel, Rules, read_step
+from plr_jax.plr.leaves.base import MAX_TIED_DIM, UNIT, Coefficients, PolynomialLeafModel, Rules, read_step
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
@@ -418,6 +418,15 @@ class Continuous(PolynomialLeafModel):
         coefficients = np.bincount(of_free_dofs.row, terms, of_free_dofs.shape[0]).reshape(len(cells), -1)
         coefficients[stored.partition.unreachable, 0] = np.inf
         return coefficients
+
+    def free_values(self, cells: Cells, stored: StoredValues) -> tuple[Distances, "csr_array"]:
+        return stored.decode(), coefficient_matrix(self.order, stored.partition.space)
+
+    def with_free_values(self, stored: StoredValues, values: Distances, step: float | None) -> StoredValues:
+        difference = values - stored.offset
+        least = max(UNIT * np.abs(difference).max(initial=0.0), np.finfo(np.float32).tiny)
+        step = float(np.float32(max(step or stored.step, least)))  # codes fit 25 bits
+        return replace(stored, step=step, code=np.rint(difference / step).astype(np.int64))
 
     def basis(self, u: Points) -> Coefficients:
         return basis_values(self.order, (u + 1) / 2)

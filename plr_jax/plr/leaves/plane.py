@@ -217,6 +217,22 @@ class IndependentLeafModel(LinearLeafModel):
     def coefficients(self, cells: Cells, stored: StoredCoefficients) -> Coefficients:
         return np.column_stack(stored.decode())
 
+    def free_values(self, cells: Cells, stored: StoredCoefficients) -> tuple[Distances, Any]:
+        from scipy.sparse import eye_array
+
+        numbers = self.coefficients(cells, stored)
+        is_free = np.repeat(~stored.unreachable, numbers.shape[1])
+        return numbers.ravel()[is_free], eye_array(len(is_free), format="csc")[:, is_free]
+
+    def with_free_values(self, stored: StoredCoefficients, values: Distances, step: float | None) -> Any:
+        # The offset is chosen again, which may raise the step a little: allow for 0.1%.
+        step = step or (stored.bits < FLOAT_BITS) * 1.001 * stored.step
+        numbers = np.column_stack(stored.decode())
+        numbers[~stored.unreachable] = values.reshape(-1, numbers.shape[1])
+        choices = *range(MIN_BITS, MAX_BITS + 1), FLOAT_BITS
+        quantized = (quantize(numbers[:, 0], numbers[:, 1:], bits) for bits in choices)
+        return next(each for each in quantized if each.step <= step or each.bits == FLOAT_BITS)
+
 
 class Plane(IndependentLeafModel):
     """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
