@@ -130,8 +130,10 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
         value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
         points = np.asarray(value)
-    except ValueError as error:
-        raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
+    except (TypeError, ValueError) as error:
+        advice = " JAX traces them: use load instead of load_numpy, and pass one array, jnp.asarray(x)."
+        message = f"Points must be an array of numbers, got {shortened(value)}.{advice if is_traced(error) else ''}"
+        raise ValueError(message) from error
     # NumPy does not count narrow floats of JAX as numbers.
     if points.dtype.kind not in "iubf" and not points.dtype.name.startswith(("bfloat", "float8")):
         raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")

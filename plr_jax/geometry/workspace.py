@@ -170,6 +170,16 @@ class Workspace:
         """
         return 1e3 * rounding_of(self.bounds)
 
+    @property
+    def obstacle_vertices(self) -> Float[np.ndarray, "vertices 2"]:
+        """The vertices of ``obstacles``, ring after ring, each ring without its repeated last vertex.
+
+        Rings have the order and orientation given. For each polygon, the outer ring comes first, then the holes.
+        """
+        rings = shapely.get_rings(shapely.get_parts(np.array(self.obstacles, object)))
+        points, ring = shapely.get_coordinates(rings, return_index=True)
+        return points[np.append(ring[1:] == ring[:-1], False)[: len(ring)]]
+
     @cached_property
     def triangulation(self) -> Triangulation:
         """Triangles that fill free space."""

@@ -11,7 +11,9 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+import shapely
 from jaxtyping import Float, Int
+from scipy.sparse import coo_array, csr_array
 
 from plr_jax._arrays import PickledWithoutCaches, as_finite_point, as_numbers, as_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Reach, Sources
@@ -244,7 +246,54 @@ class VisibilityGraph(PickledWithoutCaches):
         They are the negative gradient of the distance: zero within the workspace's tolerance of the goal, NaN where
         the distance is ``inf``. If several paths from a point are shortest, the result is the direction of one.
         """
-        x = self._points("x", x)
+        return self._first_legs(self._points("x", x))[0]
+
+    def vertex_gradient(self, x: ArrayLike) -> csr_array:
+        """Return the derivatives of the distances of points ``(n, 2)`` by the vertices of obstacles and by the goal.
+
+        The result is a SciPy sparse matrix ``(n, 2 * m + 2)``, with ``m`` the number of rows of
+        ``workspace.obstacle_vertices``. Columns ``2 * i`` and ``2 * i + 1`` belong to ``x`` and ``y`` of vertex
+        ``i``, the last two columns to the goal. The derivative by the point itself is ``-directions(x)``.
+
+        Only vertices at which the path turns have entries. Rows of points whose distance is ``inf`` are empty. If
+        several paths from a point are shortest, its row belongs to one of them. Of vertices that coincide, one has
+        the entries. A corner within the workspace's tolerance of the goal counts as the goal.
+        """
+        unit, turn = self._first_legs(self._points("x", x))
+        vertices, obstacles = self.graph.vertices, self.workspace.obstacle_vertices
+        # 1. Find the vertex of an obstacle at each corner. Paths turn at no other points, up to rounding: where edges
+        #    of two obstacles cross, free space is convex.
+        corner = np.flatnonzero(np.isfinite(self.distances) & (self.distances > self.workspace.tolerance))
+        places, corners = (np.asarray(shapely.points(points)) for points in (obstacles, vertices[corner]))
+        found, nearest = shapely.STRtree(places).query_nearest(corners, all_matches=False)
+        column = np.full(len(vertices), len(obstacles))
+        column[corner[found]] = nearest
+
+        # 2. Differentiate legs: |b - a| has the derivative unit(b - a) by b, and the negative of it by a.
+        def by_vertices(row: Indices, vertex: Indices, vector: Float[np.ndarray, "entries 2"], n: int) -> csr_array:
+            place = np.repeat(row, 2), (2 * column[vertex][:, None] + [0, 1]).ravel()
+            return coo_array((vector.ravel(), place), shape=(n, 2 * len(obstacles) + 2)).tocsr()
+
+        onward = self._parents[corner]
+        along = (leg := vertices[onward] - vertices[corner]) / np.linalg.norm(leg, axis=1, keepdims=True)
+        ends, change = np.append(onward, corner), np.append(along, -along, axis=0)
+        legs = by_vertices(np.tile(corner, 2), ends, change, len(vertices))
+        first = by_vertices(np.arange(len(turn)), turn, np.nan_to_num(unit), len(turn))
+        # 3. Add the legs of each path: list the vertices on the paths from all first turns to the goal.
+        start, place = np.unique(turn, return_inverse=True)
+        path = [np.stack([np.arange(len(start)), start])]
+        while path[-1].size:
+            row, vertex = path[-1][0], self._parents[path[-1][1]]
+            path.append(np.stack([row, vertex])[:, vertex >= 0])
+        index = np.concatenate(path, axis=1)
+        on_path = coo_array((np.ones(index.shape[1]), tuple(index)), shape=(len(start), len(vertices))).tocsr()
+        return first + (on_path @ legs)[place]
+
+    def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
+        return as_points(name, self.workspace.settled(x), 2)
+
+    def _first_legs(self, x: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Int[np.ndarray, " n"]]:
+        """Return the directions of points, and the index of the vertex of ``graph`` to which each direction leads."""
         distance, turn = self._first_turns(x)
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
@@ -254,10 +303,7 @@ class VisibilityGraph(PickledWithoutCaches):
             leg[is_at_turn] = self.graph.vertices[turn[is_at_turn]] - x[is_at_turn]
             length[is_at_turn] = np.linalg.norm(leg[is_at_turn], axis=1)
         away = (length > self.workspace.tolerance)[:, None]
-        return np.divide(leg, length[:, None], out=np.where(np.isnan(leg), np.nan, 0.0), where=away)
-
-    def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
-        return as_points(name, self.workspace.settled(x), 2)
+        return np.divide(leg, length[:, None], out=np.where(np.isnan(leg), np.nan, 0.0), where=away), turn
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, " n"]]:
         """Return distances to the goal, and the index of the vertex of ``graph`` to which each path goes first.

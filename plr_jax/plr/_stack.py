@@ -363,11 +363,11 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside | None
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
     """Return the approximate distance at each point (Putman et al., Section III-A); the same as ``plr(x)``.
 
-    Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
-    finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. Second derivatives
-    (``jax.hessian``) are not those of the leaf's function. An optimizer that may
-    leave the domain should pass ``outside="clamp"``, so that a descent step leads back. Outside of ``jit``, NumPy
-    answers up to 4,096 points without compiling, bit for bit as compiled code does, unless ``jax_enable_x64`` is set.
+    Works under ``jax.jit``, ``jax.vmap``, ``jax.grad`` and ``jax.hessian``. The gradient and the Hessian are those of
+    the leaf's function. They are finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate
+    is NaN. An optimizer that may leave the domain should pass ``outside="clamp"``, so that a descent step leads back.
+    Outside of ``jit``, NumPy answers up to 4,096 points without compiling, bit for bit as compiled code does, unless
+    ``jax_enable_x64`` is set.
 
     ``jax.export`` (with the package ``flatbuffers``) turns a query into a program of a few hundred kilobytes that
     runs without this package, for batches of any size. A program that takes the PLR as an argument needs this

@@ -58,7 +58,7 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Value
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
         if tables.straight is not None:
-            value = jnp.maximum(value, _straight_bound(tables, x))
+            value = jnp.maximum(value, _straight_bound(tables, x, is_outside))
     # 3. Replace answers outside the domain.
     return jnp.where(is_outside, jnp.full_like(answer, np.nan) if outside == "nan" else answer, value)
 
@@ -85,7 +85,8 @@ def bounds_of_tables(tables: Tables, band: Float[Array, "2 rows"], x: Array) -> 
     lower, upper = jnp.maximum(value_plus(below, -np.inf), 0), value_plus(above, np.inf)
     if tables.straight is not None:
         x = _as_float_points(tables, x)
-        lower = jnp.maximum(lower, _straight_bound(tables, _wrap(tables, x) if tables.periodic else x))
+        x = _wrap(tables, x) if tables.periodic else x
+        lower = jnp.maximum(lower, _straight_bound(tables, x, value == np.inf))
     return jnp.where(value < np.inf, lower, value), jnp.where(value < np.inf, upper, value)
 
 
@@ -378,8 +379,9 @@ class _Unfused:
         return _Unfused(without_fusion(self.value * other.value))
 
 
-def _straight_bound(tables: Tables, x: Points) -> Values:
-    # Along periodic axes, points must lie in the domain. With the arrays of a :class:`StraightBound`, the bound is
+def _straight_bound(tables: Tables, x: Points, outside: Flags) -> Values:
+    # Along periodic axes, points must lie in the domain. At points ``outside``, the bound has no meaning. With the
+    # arrays of a :class:`StraightBound`, the bound is
     #   max(min over goals of (sum over groups of rate * sqrt(sum over the group's axes of change**2)) - margin, 0)
     goals, groups, rates, margin = (each.astype(x.dtype) for each in tables.straight or ())
     frame = tables.frame.astype(x.dtype)
@@ -388,7 +390,9 @@ def _straight_bound(tables: Tables, x: Points) -> Values:
     for goal in range(goals.shape[0]):
         squares = []
         for axis in range(tables.dim):
-            change = without_fusion(x[..., axis] - frame[Frame.LO, axis]) - goals[goal, axis]
+            # Differentiate as at 0 outside the domain, as in `_value`.
+            along = jnp.where(outside, 0, without_fusion(x[..., axis] - frame[Frame.LO, axis]))
+            change = along - goals[goal, axis]
             if axis in tables.periodic:  # the short way around
                 change = jnp.minimum(jnp.abs(change), ends[axis] - jnp.abs(change))
             squares.append(without_fusion(jnp.square(change)))
@@ -416,7 +420,8 @@ def straight_through(x: Values, to: Values) -> Values:
     return to
 
 
-straight_through.defjvp(lambda primals, tangents: (primals[1], tangents[0]))
+# The rule calls the function itself, so that derivatives of the result are right in the next differentiation, too.
+straight_through.defjvp(lambda primals, tangents: (straight_through(*primals), tangents[0]))
 
 
 def without_fusion(value: Values) -> Values:
@@ -434,7 +439,7 @@ def _root(square: Values) -> Values:
 
 @_root.defjvp
 def _root_tangent(primals, tangents):
-    root = jnp.sqrt(primals[0])
+    root = _root(primals[0])
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 

@@ -21,6 +21,16 @@ def check_visible(workspace, seen, hidden, rotation=((1, 0), (0, 1))):
         np.testing.assert_array_equal(workspace.is_visible(*ends), np.arange(len(a)) < len(seen))
 
 
+def test_vertices_of_obstacles_are_in_the_order_given():
+    ring, other, hole = box(1, 1, 5, 5)[::-1], box(6, 6, 7, 9), box(2, 2, 4, 3)[[2, 0, 1]]
+    several = shapely.MultiPolygon([(ring, [hole]), (other, [])])
+    workspace = Workspace(TEN, [np.vstack([other, other[:1]]), several, box(-1, 8, 1, 11)])
+    rings = [other, ring, hole, other, box(-1, 8, 1, 11)]
+    np.testing.assert_array_equal(workspace.obstacle_vertices, np.vstack(rings))
+    np.testing.assert_array_equal(workspace.with_obstacles(remove=[1]).obstacle_vertices, np.vstack(rings[::4]))
+    assert Workspace(TEN).obstacle_vertices.shape == (0, 2)
+
+
 def test_free_space_is_closed():
     x = [[0, 0], [10, 10], [3, 3], [5, 3], [3, 4], [5, 5], [3 + 1e-10, 4], [3 + 1e-6, 4], [10.001, 5], [np.inf, 1]]
     expected = [True, True, True, True, True, False, True, False, False, False]

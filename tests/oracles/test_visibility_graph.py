@@ -43,6 +43,76 @@ def test_distances_paths_and_directions_around_a_wall(x, distance, path, directi
     np.testing.assert_allclose(ORACLE.directions([x]), [direction], atol=1e-12)
 
 
+HOLED = shapely.Polygon(box(1, 1, 9, 9), [[(2, 2), (8, 2.5), (8, 8), (2, 7)]])
+POSTS = [(4, 4), (6, 4), (5, 6)], [(3, 3), (3.5, 3), (3.3, 7)]
+TO_DIFFERENTIATE = {
+    "overlaps": general_workspace(np.random.default_rng(0)),
+    "overlaps, squeezed": general_workspace(np.random.default_rng(5), squeeze=True),
+    "holes": Workspace(TEN, [shapely.MultiPolygon([HOLED, shapely.Polygon(box(8, 9.2, 9, 9.8))]), *POSTS]),
+    "free space": Workspace.from_polygons([{"outer": box(0, 0, 10, 10), "holes": [*POSTS, box(3, 5, 7, 9)]}]),
+    "inflated": Workspace(TEN, POSTS).inflate(0.5),
+}
+
+
+def with_vertices(workspace, vertices):
+    """Return the workspace after all vertices of its obstacles have moved."""
+    sizes = shapely.get_num_coordinates(shapely.get_rings(shapely.get_parts(workspace.obstacles))) - 1
+    rings = np.concatenate([[*ring, ring[0]] for ring in np.split(vertices, np.cumsum(sizes)[:-1])])
+    obstacles = shapely.set_coordinates(np.array(workspace.obstacles), rings)
+    return Workspace(workspace.bounds, obstacles, squeeze=workspace.squeeze)
+
+
+@pytest.mark.parametrize("name", TO_DIFFERENTIATE)
+def test_vertex_gradients_equal_central_differences(name):
+    """Vertices, goal and points all move at once, in random directions."""
+    workspace, rng, h = TO_DIFFERENTIATE[name], np.random.default_rng(1), 3e-5
+    goal, *x = workspace.sample_free(80, 3)
+    vertices, x, num_same = workspace.obstacle_vertices, np.array(x), 0
+    oracle = VisibilityGraph(workspace, goal)
+    gradient, directions = oracle.vertex_gradient(x).toarray(), oracle.directions(x)
+    for _ in range(3):
+        change = rng.uniform(-1, 1, (len(vertices) + 1, 2))
+        by = rng.uniform(-1, 1, x.shape)
+        moved = [np.vstack([vertices, goal]) + step * change for step in (h, -h)]
+        oracles = [VisibilityGraph(with_vertices(workspace, places[:-1]), places[-1]) for places in moved]
+        after, before = (each(x + step * by) for each, step in zip(oracles, (h, -h), strict=True))
+        turns = [gradient, *(each.vertex_gradient(x).toarray() for each in oracles)]
+        is_same = np.isfinite(after) & (np.ptp(np.not_equal(turns, 0).astype(int), axis=0) == 0).all(axis=1)
+        expected = (gradient @ change.ravel() - (directions * by).sum(axis=1))[is_same]
+        np.testing.assert_allclose((after[is_same] - before[is_same]) / (2 * h), expected, rtol=1e-6, atol=1e-6)
+        num_same += is_same.sum()
+    assert num_same > 2 * np.isfinite(oracle(x)).sum() and np.count_nonzero(gradient[:, :-2]) > 40
+
+
+def test_vertex_gradients_beside_corners_and_where_obstacles_touch():
+    """A wall of two boxes, of which the upper one has the corners, and a point, goal or vertex at a corner."""
+    touching = Workspace(TEN, [box(4, 0, 6, 4), box(4, 4, 6, 8)])
+    at_corner, from_left, to_goal = (1.0, 0.0), np.array([2, 4]) / UP, np.array([2, -4]) / UP
+    oracle = VisibilityGraph(touching, (8, 4))
+    rows = oracle.vertex_gradient([(2, 4), (4, 8), (6, 8 + 1e-10), (8, 4), (5, 2), (np.nan, 1)]).toarray()
+    expected = np.zeros((6, 9, 2))
+    expected[0, 7], expected[:2, 6] = from_left - at_corner, at_corner - to_goal
+    expected[:3, 8] = to_goal
+    np.testing.assert_allclose(rows.reshape(6, 9, 2), expected, atol=1e-9)
+    oracle = oracle.with_goal((6, 8))
+    rows = oracle.vertex_gradient([(2, 4), (8, 4)]).toarray().reshape(2, 9, 2)
+    np.testing.assert_allclose(rows[:, 7:], [[from_left - at_corner, at_corner], [(0, 0), -to_goal]], atol=1e-12)
+    twice = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 8), [(4, 8), (5, 7), (5, 8)]]), (8, 4))
+    (row,) = twice.vertex_gradient([(2, 4)]).toarray().reshape(1, 8, 2)
+    np.testing.assert_allclose([row[[3, 4]].sum(axis=0), row[2]], [from_left - at_corner, at_corner - to_goal])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_vertex_gradients_add_to_zero(seed):
+    """Distances stay the same if the map, the goal and the point move together."""
+    workspace = random_workspace(seed)
+    oracle, x = VisibilityGraph(workspace, hard_points(workspace, seed + 1)[0]), hard_points(workspace, seed)
+    gradient, has_path = oracle.vertex_gradient(x), np.isfinite(oracle(x))
+    total = gradient.toarray().reshape(len(x), -1, 2).sum(axis=1)
+    np.testing.assert_allclose(total[has_path], oracle.directions(x)[has_path], atol=1e-12)
+    assert has_path.any() and not np.diff(gradient.indptr)[~has_path].any()
+
+
 def test_views_along_a_wall_end_with_the_wall():
     """The goal is hidden by a contact or a thin obstacle, which the view along the wall barely meets."""
     contact = Workspace(((0, 0), (1, 1)), [[(0.5161, 1.0), (0.0496, 0.1129), (0.3428, 0.0154)]])

@@ -137,6 +137,21 @@ def test_prepared_goals_have_gradients_in_points_under_jit_and_vmap(maze):
     np.testing.assert_allclose(gradients, jax.jit(jax.vmap(jax.grad(maze)))(x, y), atol=1e-6)
 
 
+@pytest.mark.full
+def test_hessians_equal_differences_of_gradients():
+    wall = construct_pairs(Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]]), max_bytes=300)
+    with jax.enable_x64(True):
+        to_goal = wall.to((0.9, 0.1))
+        functions = (lambda z: wall(z[:2], z[2:], outside="clamp"), lambda z: to_goal(z[:2], outside="clamp"))
+        z, steps = np.random.default_rng(0).uniform(-0.5, 1.5, (300, 4)), 1e-6 * np.vstack([np.eye(4), -np.eye(4)])
+        derivatives = jax.jit(lambda z: [[jax.vmap(of(f))(z) for of in (jax.grad, jax.hessian)] for f in functions])
+        for gradient, hessian in derivatives(np.concatenate([z, *(z + step for step in steps)])):
+            ahead, behind = np.split(np.reshape(gradient, (9, *z.shape))[1:], 2)
+            expected = ((ahead - behind) / 2e-6).transpose(1, 2, 0)
+            assert np.isclose(hessian[: len(z)], expected, rtol=1e-5, atol=1e-5).all(axis=(1, 2)).mean() > 0.97
+            assert (np.abs(expected) > 0.5).any(axis=(1, 2)).mean() > 0.5
+
+
 def test_wrong_goals_raise(maze):
     with pytest.raises(ValueError, match=r"goals must be points of shape \(..., 2\), got \(3,\)"):
         maze.prepared(np.zeros(3))

@@ -70,6 +70,10 @@ def test_values_and_gradients_are_those_of_cones_around_sources():
     far = length > 0.01
     np.testing.assert_allclose(gradient[far], leg[far] / length[far, None], atol=1e-4)
     assert plr(x)[0] == 0 and gradient[0].tolist() == [0, 0] and np.isfinite(gradient[1]).all()
+    hessian = np.asarray(jax.jit(jax.vmap(jax.jacrev(jax.grad(plr))))(jnp.asarray(x, jnp.float32)))
+    expected = (np.eye(2) - gradient[:, :, None] * gradient[:, None]) / np.maximum(length, 0.01)[:, None, None]
+    np.testing.assert_allclose(hessian[far], expected[far], rtol=1e-4, atol=1e-4)
+    assert not hessian[0].any() and np.isfinite(hessian[1]).all()
 
 
 def test_mean_planes_equal_differences_of_cones(maze):

@@ -86,6 +86,36 @@ def test_gradients_equal_finite_differences(name):
         assert is_near.mean() > 0.97  # in 32 bits, some points are in another leaf
 
 
+TWICE = [KINDS[0], *full(*KINDS[1:], "cones in space", "maze of values", "straight bound", "estimate of planes")]
+
+
+@pytest.mark.parametrize("name", TWICE)
+def test_hessians_equal_differences_of_gradients(name):
+    with jax.enable_x64(True):
+        plr = from_bytes(case(name).to_bytes())
+        functions = [plr, partial(plr, outside="clamp")]
+        if name != KINDS[0]:
+            functions += [partial(stack([plr]), 0), *([] if plr.band is None else [plr.lower])]
+
+        @jax.jit
+        def derivatives(x):
+            return [(jax.vmap(jax.grad(f))(x), jax.vmap(jax.hessian(f))(x)) for f in functions]
+
+        x, steps = around(plr, 150), np.vstack([np.zeros(plr.dim), 1e-6 * np.diag(plr.domain.width)])
+        x = np.concatenate([x, not_finite(plr)[1:]])
+        moved = np.concatenate([x + step for step in (*steps, *-steps)])
+        answers = jax.tree.map(np.asarray, derivatives(moved))
+    for gradient, hessian in answers:
+        after, before = np.split(gradient.reshape(-1, *x.shape), 2)
+        expected = ((after - before)[1:] / (2 * steps[1:].max(axis=1)[:, None, None])).transpose(1, 2, 0)
+        scale = np.maximum(np.abs(expected).max(axis=(1, 2)), 0.1 / plr.domain.width.max())
+        is_near = np.abs(hessian[: len(x)] - expected).max(axis=(1, 2)) < 1e-6 * scale
+        assert is_near.mean() > 0.97
+        assert all((each[len(x) - 2 : len(x)] == 0).all() for each in (gradient, hessian))
+    curved = np.abs(answers[0][1]).max() > 0.1
+    assert curved == (plr.leaf.name != "plane" or plr.tables.straight is not None)
+
+
 def test_points_outside_are_clamped_to_the_nearest_point(plr):
     """The distance to that point is added. Without clamping, answers outside are inf or NaN."""
     x = around(plr)

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import zlib
+from functools import partial
 
 import jax
 import numpy as np
@@ -17,7 +18,7 @@ from vectors import FOLDER, read_vector, vector_names
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes, stack_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, Euclidean, NumpyPLR, construct, load_numpy
+from plr_jax import Box, Euclidean, NumpyPLR, Workspace, construct, construct_pairs, load_numpy, stack
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
@@ -149,6 +150,20 @@ def test_points_of_wrong_shape_or_type_raise(x, message):
     for answer in (case("maze of planes"), case("maze of planes").numpy()):
         with pytest.raises(ValueError, match=message):
             answer(x)
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_traced_points_raise_where_numpy_would_have_to_read_them():
+    plr, pairs = case("maze of cones"), construct_pairs(Workspace(((0, 0), (1, 1))), max_bytes=100)
+    reader, both = plr.numpy(), partial(jax.grad(pairs), y=[0.5, 0.5])
+    of_reader = (jax.grad(reader), jax.jit(reader.leaf), jax.vmap(reader.bounds), jax.jit(reader.waypoint))
+    calls = [(call, jax.numpy.full(2, 0.5)) for call in of_reader]
+    of_lists = (jax.grad(plr), jax.grad(plr.lower), jax.jit(plr.waypoint), jax.jit(partial(stack([plr]), 0)), both)
+    for call, x in [*calls, *((call, [0.5, 0.5]) for call in of_lists)]:
+        with pytest.raises(
+            ValueError, match=r"Tracer.* JAX traces them: use load instead of load_numpy, and pass one"
+        ):
+            call(x)
 
 
 def test_points_of_any_layout_and_type_get_the_same_answers(monkeypatch):

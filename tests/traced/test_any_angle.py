@@ -70,6 +70,17 @@ def test_gradient_at_a_corner_follows_the_path_of_that_corner():
     np.testing.assert_allclose(of_goal, 10 * unit(np.subtract(BLOCK_GOAL, LAST_TURN)).sum(axis=0), atol=1e-4)
 
 
+@pytest.mark.full
+def test_second_derivatives_follow_the_same_path():
+    free, goal = all_levels()[0][LEVELS], np.array(BLOCK_GOAL)
+    hessian = jax.jit(jax.vmap(jax.hessian(lambda x: grid_distance(free, jnp.array(BLOCK_GOAL))(x) ** 2)))
+    u, r, d = unit(BLOCK_X - FIRST_TURN), np.hypot(*(BLOCK_X - FIRST_TURN).T), truth(free, goal, BLOCK_X)
+    # The distance d = |x - turn| + const has the gradient u and the Hessian (I - u u') / r.
+    along = u[:, :, None] * u[:, None]
+    expected = 2 * (along + (d / r)[:, None, None] * (np.eye(2) - along))
+    np.testing.assert_allclose(hessian(jnp.asarray(BLOCK_X, jnp.float32)), expected, atol=1e-5)
+
+
 def test_gradient_in_goal_passes_many_corners():
     free, goal, x = (each[LEVELS + 1] for each in all_levels())
     x, goal = x.astype(float), goal.astype(float)
