@@ -26,7 +26,8 @@ plr_jax.save(plr, "field.plr")
 - `plr_jax.guides.costs_and_volumes`: `solve_eikonal`; cost maps, voxels, bodies, arms.
 - `plr_jax.guides.cost_distance`: `cost_distance` over rasters, for GIS.
 - `plr_jax.guides.teams`: `bl_plan`, `validate`, `replan`, `lifelong`.
-- `plr_jax.guides.follow_the_field`: `descend`, `trace`, gradients.
+- `plr_jax.guides.follow_the_field`: `descend`, `trace`.
+- `plr_jax.guides.gradients`: `polygon_distance`, `VisibilityGraph.vertex_gradient`, `PLR.tunable`.
 - `plr_jax.guides.c_and_javascript`: `PLR.c_header`, `PLR.js_module`, `load_numpy`.
 - `plr_jax.guides.command_line`: the command `plr-jax`.
 

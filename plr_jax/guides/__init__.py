@@ -8,6 +8,7 @@
 - `plr_jax.guides.cost_distance`: travel times over rasters to the nearest of several sources, for GIS.
 - `plr_jax.guides.teams`: plans for one robot or a team, also after changes while robots move.
 - `plr_jax.guides.follow_the_field`: paths and directions to the goal.
+- `plr_jax.guides.gradients`: derivatives of distances, by points, goals, walls and stored values.
 - `plr_jax.guides.c_and_javascript`: queries without JAX.
 - `plr_jax.guides.command_line`: the command `plr-jax`.
 
@@ -28,6 +29,8 @@ classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`,
 | `plr_jax.GridPairs` | `pairs(x, y)` | length of a shortest grid path between the cells of two points |
 | `plr_jax.GridDistance` | `field(x)` | distance to the goal |
 | `plr_jax.GridDistances` | `field(x, y)` | distance between two points |
+| `plr_jax.PolygonDistance` | `field(x)` | distance to the nearest goal |
+| `plr_jax.PolygonDistances` | `field(x, y)` | distance between two points |
 | `plr_jax.VisibilityGraph`, `plr_jax.Roadmap`, `plr_jax.Euclidean` | `oracle(x)` | distance to the goal |
 | `plr_jax.Dubins`, `plr_jax.ReedsShepp` | `oracle(poses)` | length of a car's path; poses are `(n, 3)` |
 | `plr_jax.GridField`, `plr_jax.GridGraph`, `plr_jax.VoxelGraph` | `oracle(x)` | distance to the goal |

@@ -45,34 +45,9 @@ call proves the largest error of the PLR on the new map.
 print(plr_closed.max_error, plr_jax.certify(plr, oracle_closed).max_error)
 ```
 
-# Measured distances
-
-If distances are only known at some points, as from trips on a map that has changed, train the values that a PLR
-stores. `plr.tunable()` of planes, continuous or smooth leaves returns a `plr_jax.TunablePLR`, a pytree with one array
-of values. Leaves keep their boxes, and stay continuous where they were.
-
-```python
-import jax
-import optax
-
-tunable = plr_jax.construct(oracle, workspace.bounds, leaf="continuous", max_bytes=512).tunable()
-measured = oracle_closed(x)
-optimizer = optax.adam(0.01)
-
-@jax.jit
-def train(tunable, state):
-    loss, gradient = jax.value_and_grad(lambda fn: ((fn(x) - measured) ** 2).mean())(tunable)
-    updates, state = optimizer.update(gradient, state)
-    return optax.apply_updates(tunable, updates), state, loss
-
-state = optimizer.init(tunable)
-for _ in range(100):
-    tunable, state, loss = train(tunable, state)
-plr_measured = tunable.to_plr(max_bytes=512)  # a file again, without a proof
-```
-
 # For other changes
 
+- Distances were measured at some points, such as trips: train a PLR's values, in `plr_jax.guides.gradients`.
 - Goals change, the map does not: `plr_jax.construct_pairs` or `plr_jax.construct_many`, in
   `plr_jax.guides.any_two_points`.
 - The map changes at every step, or inside `jit`: `plr_jax.grid_distance`, in `plr_jax.guides.inside_jit`.

@@ -159,7 +159,8 @@ class PLR(FileBacked):
         """
         if isinstance(self.file, Tracer):
             raise ValueError("A traced PLR cannot be trained: call tunable() outside of jit and pass on its result.")
-        return TunablePLR(self.parameter_map[1], self)
+        with jax.ensure_compile_time_eval():  # a new array, which a jitted function may be given for its memory
+            return TunablePLR(jax.device_put(self.parameter_map[0].astype(np.float32)), self)
 
     @cached_property
     def parameter_map(self) -> tuple[Any, ...]:

@@ -42,10 +42,10 @@ def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tupl
     leaf, cells, domain = contents.leaf, contents.tree.leaves, contents.domain
     if not isinstance(leaf, LinearLeafModel):
         raise ValueError(f"Only leaves 'plane', 'continuous' and 'smooth' can be trained, got {leaf.name!r}.")
-    corner = origin * (contents.folding is None) + np.asarray(tables.frame[Frame.LO], np.float64)
+    corner = origin * (contents.folding is None) + np.asarray(tables.frame, np.float64)[Frame.LO]
     is_free = np.isfinite(leaf.coefficients(cells, contents.stored)[:, :1])
 
-    def filled(coefficients: Coefficients) -> Coefficients:
+    def filled(coefficients: Float[np.ndarray, "... terms"]) -> Coefficients:
         of_leaves = filled_coefficients(contents, np.where(is_free, coefficients, np.inf))
         return np.where(np.isinf(of_leaves[:, :1]), 0.0, of_leaves)  # no value changes leaves that answer ``inf``
 
@@ -67,8 +67,8 @@ def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tupl
     matrix = (csr_array(entries, 2 * [len(cells) * len(units)]) @ of_values).tocoo()  # sorted by row
     # 3. Places in the layouts of ``arrange_parameters``. Numbers of cells, which come first, do not change.
     table, count = tables.leaf_parameters, leaf.num_leaf_parameters(cells.dim)
-    places = np.arange(table.size).reshape((-1, count), order="CF"[table.ndim - 1])[: len(cells), -shared.shape[1] :]
-    arrays = values, matrix.data, matrix.row, matrix.col, shared, places
+    places = np.arange(table.size).reshape((-1, count), order="F" if table.ndim == 2 else "C")
+    arrays = values, matrix.data, matrix.row, matrix.col, shared, places[: len(cells), -shared.shape[1] :]
     with jax.ensure_compile_time_eval():  # the PLR may be closed over by a traced function
         device = (jax.device_put(each.astype(np.float32 if each.dtype == float else np.int32)) for each in arrays)
         return values, *device
@@ -98,11 +98,11 @@ class TunablePLR:
     TunablePLRs from one PLR can be combined, as by ``jax.tree.map``.
 
     Attributes:
-        values: The free values, ``(n,)``, float32, in units of distance. For planes, the coefficients of one
-            reachable leaf after another: the value at the center, then half of the rise along each axis. For
-            continuous and smooth leaves, the values at corners of leaves. Leaves share these, so functions stay
-            continuous (and gradients, of smooth leaves) across free faces for any values.
-        plr: The PLR from which it was made.
+        values: Numbers in units of distance, ``(n,)``, float32. For planes, the coefficients of one reachable leaf
+            after another: the value at the center, then half of the rise across the leaf along each axis. For
+            continuous and smooth leaves, the values at corners of leaves. Leaves share these values, so functions
+            stay continuous across free faces, as do the gradients of smooth leaves.
+        plr: The PLR whose values these were at first.
     """
 
     values: Any  # an array, or what JAX puts in its place
@@ -124,11 +124,11 @@ class TunablePLR:
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Return the distance at each point ``x``, ``(..., dim)``, as :func:`evaluate` does.
 
-        With the initial values, answers are those of the PLR, up to rounding. A leaf that no value determines still
-        answers ``inf`` or continues the plane of a neighbor. If the PLR's file has a lower bound by straight lines
-        (``solve_eikonal`` with a proof), answers are at least this bound, also after training: where the bound is
-        larger than the leaf's function, the gradient with respect to the values is 0. ``ValueError`` if points are
-        invalid, or ``values`` has not the shape of the initial values: for stacked values, use ``jax.vmap``.
+        With the initial values, answers are those of the PLR, up to rounding. A leaf without values still answers
+        ``inf`` or continues the plane of a neighbor. Some files of :func:`solve_eikonal` have a lower bound by
+        straight lines. Then answers are at least this bound, also after training: where the bound is larger than the
+        leaf's function, the gradient with respect to the values is 0. ``ValueError`` if points are invalid, or if
+        ``values`` has another shape than the initial values: use ``jax.vmap`` for stacked values.
         """
         x = x if isinstance(x, jax.Array) else as_queries(x)
         tables, x = self.plr.tables_and_points(x)
@@ -138,14 +138,15 @@ class TunablePLR:
     def _changes(self) -> Array:
         if np.shape(self.values) != (initial := self.plr.parameter_map[1]).shape:
             raise ValueError(f"values must have shape {initial.shape}, got {np.shape(self.values)}.")
-        return self.values - initial
+        return (self.values - initial).astype(np.float32)
 
     def to_plr(self, max_bytes: int | None = None) -> Any:
         """Round the values, and return a :class:`PLR` of them, which has a file.
 
         Nothing is proven of this PLR: :meth:`PLR.bounds` raises ``ValueError`` unless :func:`certify` proves new
-        bounds. It keeps the domain, the tree, mirror symmetries, cut-off leaves, the label, and a lower bound by
-        straight lines, which all hold for any values. It forgets the function of :meth:`PLR.with_nearest_goal`.
+        bounds. The PLR keeps the domain, the tree, mirror symmetries, cut-off leaves and the label. If answers had a
+        lower bound by straight lines, they keep this bound. The PLR loses the function of
+        :meth:`PLR.with_nearest_goal`, since the nearest goal may change with the values.
 
         Args:
             max_bytes: Most bytes of the file. The values are then rounded to the finest step, within 9%, whose file
@@ -173,9 +174,7 @@ class TunablePLR:
         else:
             require_integer("max_bytes", max_bytes, 1)
             steps = 2.0 ** np.arange(-24, 2.125, 1 / 8) * np.abs(values).max(initial=np.finfo(np.float32).tiny)
-            finest = bisect_left(
-                steps, True, hi=len(steps) - 1, key=lambda step: rounded(step).num_bytes <= max_bytes
-            )
+            finest = bisect_left(steps, True, hi=len(steps) - 1, key=lambda s: rounded(s).num_bytes <= max_bytes)
             if (plr := rounded(steps[finest])).num_bytes > max_bytes:
                 raise ValueError(f"max_bytes must be at least {plr.num_bytes}, the smallest file, got {max_bytes}.")
         _ = plr.tables  # raises ValueError if they would be too large

@@ -3,7 +3,7 @@
 import warnings
 from dataclasses import field
 from functools import partial
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -166,17 +166,17 @@ def grid_distance(
 
 @partial(jax.jit, static_argnames=("moves", "num_corners"))
 def _make(free: Mask, goal: Float[Array, "2"] | None, moves: Moves, num_corners: int) -> GridDistance | GridDistances:
-    is_nan = goal is not None and jnp.isnan(goal).any()
-    goal = None if goal is None else finite(goal)
+    h, w = free.shape
+    start, is_complete = None if goal is None else finite(goal), jnp.array(True)
+    paths: Any
     if moves == "any-angle":
         corners, is_complete = convex_corners(free, num_corners)
-        paths = CornerPairs.of_map(corners) if goal is None else GridPaths.to_goals(corners, goal[None])
+        paths = CornerPairs.of_map(corners) if start is None else GridPaths.to_goals(corners, start[None])
     else:
-        is_complete = jnp.array(True)
-        paths = StepPairs.of_grid(free, moves) if goal is None else Steps.to_goal(free, goal, moves)
+        paths = StepPairs.of_grid(free, moves) if start is None else Steps.to_goal(free, start, moves)
     if goal is None:
         return GridDistances(paths, is_complete)
-    return GridDistance(paths, is_complete, is_nan, free.shape)
+    return GridDistance(paths, is_complete, jnp.isnan(goal).any(), (h, w))
 
 
 @jax.jit

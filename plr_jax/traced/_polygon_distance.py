@@ -90,21 +90,23 @@ def polygon_distance(
 
     Distances have gradients with respect to vertices, goals and points. Where two paths are equally short, the
     gradient is that of one of them. At a corner, it is that of the path as taken. All arguments may be created inside
-    ``jax.jit`` and batched by ``jax.vmap``. Distances are those of ``VisibilityGraph`` in ``Workspace(bounds,
-    polygons)``: polygons may overlap and touch, paths may touch walls, but not pass between two polygons that touch in
-    a point.
+    ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in tracing.
 
-    Lengths are exact up to rounding. Walls are not: in 32 bits, gaps narrower than 1e-5 of the map count as closed,
-    and a point closer to a wall than 1e-6 of the map may count as on either side. In 64 bits, these are 1e-14 and
-    1e-15. Invalid shapes raise ``ValueError``, also in tracing.
+    Polygons may overlap and touch. Paths may touch walls, but not pass between two polygons that touch in a point.
+    Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with two exceptions:
+
+    - A point where two polygons touch lies on one side of the contact, not on both.
+    - In 32 bits, gaps narrower than 1e-5 of the map count as closed, and a point closer to a wall than 1e-6 of the
+      map may count as on either side of it. In 64 bits, these are 1e-14 and 1e-15.
 
     Args:
         polygons: Simple polygons, ``(m, k, 2)``, clockwise or counterclockwise, not necessarily convex. Pad polygons
-            of fewer vertices by repeated vertices or by rows of NaN. At most 256 vertices, ``m * k``, with padding.
-        goal: Goal ``(2,)``, or several goals ``(g, 2)``: the distance is that to the nearest. A goal that is not free
-            counts as unreachable. None: the result is a :class:`PolygonDistances`, of pairs of points.
-        bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked. None: the
-            whole plane, up to coordinates of 1e17.
+            of fewer vertices by repeated vertices or by rows of NaN. Of equal vertices, one has the gradient. At most
+            256 vertices, ``m * k``, with padding.
+        goal: Goal ``(2,)``, or several goals ``(g, 2)``: distances are those to the nearest goal. No path leads to a
+            goal that is not free. None: the result is a :class:`PolygonDistances`, of pairs of points.
+        bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked. None:
+            the whole plane, up to coordinates of 1e17.
     """
     polygons = _as_floats(as_points("polygons", polygons))
     if polygons.ndim != 3:
@@ -132,13 +134,14 @@ def polygon_distance(
 def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -> Float[Array, "m corners 2"]:
     """Return regular polygons around discs, for :func:`polygon_distance`: paths stay outside the discs.
 
-    ``centers`` are ``(m, 2)``, ``radii`` a number or ``(m,)``; both may be traced, and have gradients. With ``corners``
-    corners, at least 3, a polygon reaches up to ``1 / cos(pi / corners)`` times the radius: 2 % beyond it for 16.
+    ``centers`` are ``(m, 2)``, ``radii`` a number or ``(m,)``. Both may be traced, and the result has gradients with
+    respect to both. A polygon has ``corners`` corners, at least 3, at ``1 / cos(pi / corners)`` times the radius: 2 %
+    outside the disc for 16. ``ValueError`` for other arguments.
     """
     require_integer("corners", corners, 3)
     centers = _as_floats(as_points("centers", centers))
     radii = _as_floats(as_array(radii, "radii must be a number or (m,)"))
-    if centers.ndim != 2 or radii.ndim > 1 or radii.size not in (1, len(centers)):
+    if centers.ndim != 2 or radii.shape not in ((), (len(centers),)):
         raise ValueError(f"centers must be (m, 2), radii a number or (m,), got {centers.shape} and {radii.shape}.")
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
     around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(np.pi / corners)

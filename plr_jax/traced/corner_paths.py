@@ -4,22 +4,24 @@ Which points see one another is decided without derivatives. Derivatives of a di
 shortest path, by its ends and, where the map's points are traced, by its corners.
 """
 
-from typing import Any, Protocol
+from typing import Any, Protocol, Self, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from plr_jax._compiled import pytree
 
 Broadcast = Float[Array, "*#batch 2"]
 Points = Float[Array, "n 2"]
 Lengths = Float[Array, " corners"]
+Segments = tuple[Float[Array, "corners corners"], Lengths]  # between corners, and from corners to the goal
 
 
+@runtime_checkable
 class CornerMap(Protocol):
-    """The corners of a map, and what is in sight; ``placed`` turns points into ends of segments for tests of sight."""
+    """The corners of a map, and tests of sight between *ends* of segments, which :meth:`placed` makes of points."""
 
     @property
     def is_convex(self) -> Bool[Array, " corners"]:
@@ -65,23 +67,22 @@ def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths)
 @relax_from_seen.defjvp
 def _(primals, tangents):
     total = relax_from_seen(*primals)
-    return total, _change_of_paths(*primals, total, *tangents)
+    return total, _change_of_paths(primals, total, tangents)
 
 
-def _change_of_paths(
-    lengths: Float[Array, "corners corners"],
-    straight: Lengths,
-    total: Lengths,
-    change_of_lengths: Float[Array, "corners corners"],
-    change_of_straight: Lengths,
-) -> Lengths:
-    """Return the change of each distance ``total``, as ``relax_from_seen`` returns it, by the changes of segments."""
+def _change_of_paths(segments: Segments, total: Lengths, changes: Segments) -> Lengths:
+    """Return the changes of distances ``total`` if the lengths of segments change.
+
+    ``segments`` and their ``changes`` are the arguments of :func:`relax_from_seen`, and ``total`` is its result.
+    """
     # Pointer doubling: `change` is the sum over the first 1, 2, 4, ... segments of each path, and `onward` the corner
     # at their end. The goal is number `count`, whose path has no segments.
+    (lengths, straight), (change_of_lengths, change_of_straight) = segments, changes
     count = len(straight)
     corner = jnp.arange(count)
-    following = jnp.argmin(lengths + total[None], axis=1)
-    is_last = straight <= total
+    is_nearer = total[None] < total[:, None]
+    following = _longest_of_equal(jnp.where(is_nearer, lengths, jnp.inf), total[None], total)
+    is_last = straight <= _rounded_up(total)
     change = jnp.append(jnp.where(is_last, change_of_straight, change_of_lengths[corner, following]), 0)
     onward = jnp.append(jnp.where(is_last, count, following), count)
     for _ in range(count.bit_length()):
@@ -98,7 +99,7 @@ class CornerPaths:
     goals: Float[Array, "*maps goals 2"]
 
     @classmethod
-    def to_goals(cls, corners: CornerMap, goals: Float[Array, "goals 2"]) -> "CornerPaths":
+    def to_goals(cls, corners: CornerMap, goals: Float[Array, "goals 2"]) -> Self:
         ends, is_free = corners.placed(goals)
         seen = corners.seen_from(ends) & is_free[:, None] & corners.is_convex[None]
         straight = length_if_seen(seen, goals[:, None], corners.points(goals.dtype)[None]).T
@@ -163,13 +164,14 @@ def _(primals, tangents):
     # Column j has the distances to corner j, as to a goal that only corner j sees, at distance 0.
     total = _paths_between(*primals)
     straight = jnp.where(jnp.eye(len(total), dtype=bool), 0, jnp.inf)
-    change = jax.vmap(_change_of_paths, (None, 1, 1, None, 1), 1)
-    return total, change(*primals, straight, total, *tangents, jnp.zeros_like(straight))
+    change = jax.vmap(_change_of_paths, ((None, 1), 1, (None, 1)), 1)
+    return total, change((*primals, straight), total, (*tangents, jnp.zeros_like(straight)))
 
 
 def length_if_seen(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
     """Return the lengths of segments, ``inf`` unless ``seen``; the gradient is 0 where the ends coincide."""
-    squares = jnp.sum((a - b) ** 2, axis=-1)
+    dx, dy = a[..., 0] - b[..., 0], a[..., 1] - b[..., 1]
+    squares = dx * dx + dy * dy
     length = jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
     return jnp.where(seen, length, jnp.inf)
 
@@ -183,10 +185,23 @@ def shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]
 @shortest.defjvp
 def _(primals, tangents):
     first, onward = primals
-    total, change = first + onward, tangents[0] + tangents[1]
-    least = jnp.min(total, axis=-1)
-    # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
-    is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
-    minimizer = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
-    is_minimizer = jnp.arange(total.shape[-1]) == minimizer[..., None]
-    return shortest(*primals), jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)
+    change = tangents[0] + tangents[1]
+    least = shortest(first, onward)  # not jnp.min, whose own gradient would count in second derivatives
+    minimizer = _longest_of_equal(first, onward, least)
+    is_minimizer = jnp.arange(change.shape[-1]) == minimizer[..., None]
+    return least, jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)
+
+
+def _longest_of_equal(
+    first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"], least: Float[Array, "*batch"]
+) -> Int[Array, "*batch"]:
+    """Return which path is the shortest; among paths that are equal up to rounding, that with the longest first leg.
+
+    Where a point sees two corners of one path, the path straight to the farther one is shorter, if by less than
+    rounding. At a corner, the segment to that corner has no length and no direction.
+    """
+    return jnp.argmax(jnp.where(first + onward <= _rounded_up(least)[..., None], first, -1), axis=-1)
+
+
+def _rounded_up(length: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    return length * (1 + 4 * jnp.finfo(length.dtype).eps)

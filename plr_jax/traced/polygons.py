@@ -20,9 +20,11 @@ Points = Float[Array, "n 2"]
 Edges = Float[Array, "edges 2"]
 # The margin, and the thickness of walls, in machine epsilons of the largest coordinate. Rounding moves a segment by
 # about 4 of them.
-_MARGIN = 32
+_MARGIN = 8
 _WALL = 4
-_SHARPEST = 1 / 64  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
+_SHARPEST = (
+    1 / 64
+)  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
 _ROUNDS = 3  # a point near several walls is moved away from one wall after another
 _EDGES = 16  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
 
@@ -32,7 +34,9 @@ class PolygonCorners:
     """The corners of polygons, made by :meth:`of_polygons`."""
 
     vertices: Float[Array, "*maps m k 2"]  # counterclockwise; padding repeats another vertex of its polygon
-    offsets: Float[Array, "*maps m k 2"]  # from each vertex to a point outside its polygon, at the margin from its sides
+    offsets: Float[
+        Array, "*maps m k 2"
+    ]  # from each vertex to a point outside its polygon, at the margin from its sides
     is_convex: Bool[Array, "*maps corners"]  # and not inside another polygon or beyond the bounds
     bounds: Float[Array, "*maps 2 2"]  # lower and upper corner
     margin: Float[Array, "*maps"]
@@ -76,12 +80,10 @@ class PolygonCorners:
     def placed(self, x: Points) -> tuple[Points, Bool[Array, " n"]]:
         """Move points near walls to the margin; return the points, and whether each given point is free."""
         x = lax.stop_gradient(x)
-        end, distance = self._moved_from_wall(x)
-        for _ in range(_ROUNDS - 1):
-            end, _ = self._moved_from_wall(end)
+        end, distances = lax.scan(lambda end, _: self._moved_from_wall(end), x, length=_ROUNDS)
         # On a wall, the moved point says what is free: the wall may be a side of two polygons that touch.
         is_blocked = self._are_inside(end)
-        is_free = ~jnp.where(distance <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
+        is_free = ~jnp.where(distances[0] <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
         return jnp.where(is_blocked[:, None], x, end), is_free & self._are_in_bounds(x)
 
     def see_each_other(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
@@ -126,29 +128,38 @@ class PolygonCorners:
 
     def _are_inside(self, x: Points) -> Bool[Array, " n"]:
         # Return whether points are inside a polygon: a ray to the right crosses an odd number of its edges.
-        (x0, y0), (x1, y1) = (_columns(each[None]) for each in self._edges(x.dtype))
-        x, y = _columns(x[:, None])
+        (x0, y0), (x1, y1) = (_columns(each[:, None]) for each in self._edges(x.dtype))  # rows are edges
+        x, y = _columns(x[None])
         is_ahead = ((x1 - x0) * (y - y0) > (y1 - y0) * (x - x0)) == (y1 > y0)
         crosses = ((y0 > y) != (y1 > y)) & is_ahead
-        return (crosses.reshape(len(x), *self.vertices.shape[:2]).sum(axis=2) % 2 == 1).any(axis=1)
+        return (crosses.reshape(*self.vertices.shape[:2], -1).sum(axis=1) % 2 == 1).any(axis=0)
 
     def _moved_from_wall(self, x: Points) -> tuple[Points, Float[Array, " n"]]:
         # Return each point, moved to the margin if it is closer to the nearest wall, and its distance before.
         start, end = self._edges(x.dtype)
-        side, x = (end - start)[None], x[:, None]
-        square = (side**2).sum(axis=2)
-        share = ((x - start[None]) * side).sum(axis=2) / jnp.where(square > 0, square, 1)
-        foot = start[None] + jnp.clip(share, 0, 1)[..., None] * side
-        distance = _length(x - foot)
-        edge = distance.argmin(axis=1)
-        distance, foot = distance.min(axis=1), foot[jnp.arange(len(x)), edge]
-        moved = foot + self.margin * _normals(_unit(side[0]))[edge]
+        square = _feet(start[:, None], end[:, None], x[None])[1]  # rows are edges
+        least = square.min(axis=0)
+        number = jnp.arange(len(start), dtype=x.dtype)  # this minimum is eight times as fast as an argmin
+        edge = jnp.where(square <= least[None], number[:, None], len(start) - 1).min(axis=0).astype(int)
+        foot = _feet(start[edge], end[edge], x)[0]
+        moved = foot + self.margin.astype(x.dtype) * _normals(_unit(end - start))[edge]
         # Near an end of the wall, move to the point that is outside of both walls there.
         k = self.vertices.shape[1]
         for vertex in (edge, edge // k * k + (edge + 1) % k):
             is_near = _length(foot - start[vertex]) <= self.margin
             moved = jnp.where(is_near[:, None], self._ends().astype(x.dtype)[vertex], moved)
-        return jnp.where((distance < self.margin)[:, None], moved, x[:, 0]), distance
+        distance = jnp.sqrt(least)
+        return jnp.where((distance < self.margin)[:, None], moved, x), distance
+
+
+def _feet(start: Broadcast, end: Broadcast, x: Broadcast) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Return the nearest point of each edge to each point, and the squared distance to it."""
+    (ux, uy), (dx, dy) = _columns(end - start), _columns(x - start)
+    square = ux * ux + uy * uy
+    share = jnp.clip((dx * ux + dy * uy) / jnp.where(square > 0, square, 1), 0, 1)
+    foot = start + share[..., None] * (end - start)
+    ex, ey = dx - share * ux, dy - share * uy
+    return foot, ex * ex + ey * ey
 
 
 def _columns(points: Float[Array, "*batch 2"]) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
@@ -160,7 +171,7 @@ def _cross(a: Float[Array, "*batch 2"], b: Float[Array, "*batch 2"]) -> Float[Ar
 
 
 def _length(vectors: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-    return jnp.hypot(vectors[..., 0], vectors[..., 1])
+    return jnp.sqrt((vectors**2).sum(axis=-1))
 
 
 def _unit(vectors: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:

@@ -218,11 +218,11 @@ class IndependentLeafModel(LinearLeafModel):
         return np.column_stack(stored.decode())
 
     def free_values(self, cells: Cells, stored: StoredCoefficients) -> tuple[Distances, Any]:
-        from scipy.sparse import eye_array
+        from scipy.sparse import csc_array, eye_array
 
         numbers = self.coefficients(cells, stored)
         is_free = np.repeat(~stored.unreachable, numbers.shape[1])
-        return numbers.ravel()[is_free], eye_array(len(is_free), format="csc")[:, is_free]
+        return numbers.ravel()[is_free], csc_array(eye_array(len(is_free)))[:, is_free]
 
     def with_free_values(self, stored: StoredCoefficients, values: Distances, step: float | None) -> Any:
         # The offset is chosen again, which may raise the step a little: allow for 0.1%.

@@ -1,0 +1,119 @@
+"""Guide: differentiate distances, by points, goals, walls and stored values.
+
+| distance | has a gradient with respect to | call |
+| --- | --- | --- |
+| PLR, stack, pairs | point | `jax.grad(plr)(x)` |
+| PLR of planes, continuous or smooth leaves | value that the file stores | `plr.tunable()` |
+| polygons, inside `jit` | point, goal, vertex | `plr_jax.polygon_distance` |
+| discs, inside `jit` | center, radius | `plr_jax.polygons_of_discs` |
+| polygons, on the host | point, goal, vertex | `oracle.directions`, `oracle.vertex_gradient` |
+| grids, inside `jit` | point, goal; not which cells are free | `plr_jax.grid_distance` |
+| `plr_jax.cost_distance` | none: by a cell's cost, it is the length of `result.path(x)` in the cell | |
+
+Gradients are those of a shortest path. By a point, it is a unit vector away from the path. By a corner at which the
+path bends, it is the sum of two unit vectors, to the corner from its neighbors on the path. By all other vertices, it
+is 0. `jax.hessian` works, too.
+
+# Move walls
+
+`plr_jax.polygon_distance(polygons, goal)` returns a `plr_jax.PolygonDistance`, exact for up to 256 vertices. All
+arguments may be traced, and `vmap` takes many maps. Here walls move so that points get a shorter way to a door.
+
+```python
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import plr_jax
+
+bounds = ((0, 0), (10, 6))
+walls = jnp.array([[(3, 0), (3.2, 0), (3.2, 4), (3, 4)], [(6, 1), (6.2, 1), (6.2, 6), (6, 6)]])
+door = jnp.array([9.0, 1.0])
+x = jax.random.uniform(jax.random.key(0), (500, 2), maxval=jnp.array([10.0, 6.0]))
+
+def mean_distance(shifts):
+    field = plr_jax.polygon_distance(walls + shifts[:, None], door, bounds=bounds)
+    distance = field(x)
+    return jnp.mean(distance, where=jnp.isfinite(distance))  # points in walls have distance inf
+
+optimizer = optax.adam(0.1)
+
+@jax.jit
+def step(shifts, state):
+    cost, gradient = jax.value_and_grad(mean_distance)(shifts)
+    updates, state = optimizer.update(gradient, state)
+    return jnp.clip(optax.apply_updates(shifts, updates), -0.5, 0.5), state, cost
+
+state = optimizer.init(shifts := jnp.zeros((2, 2)))
+for _ in range(20):
+    shifts, state, cost = step(shifts, state)
+print(shifts, cost)
+```
+
+Without a goal, the result is a `plr_jax.PolygonDistances`, of pairs of points. `polygons_of_discs` returns polygons
+around discs. Pad polygons of fewer vertices with rows of NaN.
+
+```python
+def between(centers):
+    return plr_jax.polygon_distance(plr_jax.polygons_of_discs(centers, radii=0.8), None)(x[0], door)
+
+print(jax.grad(between)(jnp.array([(5.0, 3.0), (7.0, 2.0)])))
+```
+
+# Larger maps
+
+`plr_jax.VisibilityGraph` runs on the host, for maps of any size. `oracle.vertex_gradient(x)` is a SciPy sparse
+matrix: a row for each point, two columns for each row of `workspace.obstacle_vertices`, and two for the goal. A
+`custom_vjp` makes it a gradient of JAX. Here all points keep a path to the goal; else the mean is `inf`.
+
+```python
+def on_host(vertices):
+    workspace = plr_jax.Workspace(bounds, np.asarray(vertices, float).reshape(walls.shape))
+    oracle, points = plr_jax.VisibilityGraph(workspace, (9, 1)), x[workspace.is_free(x)]
+    by_vertices = np.asarray(oracle.vertex_gradient(points).mean(axis=0))[:-2].reshape(-1, 2)
+    return np.float32(oracle(points).mean()), by_vertices.astype(np.float32)
+
+def forward(vertices):
+    like = jax.ShapeDtypeStruct((), jnp.float32), jax.ShapeDtypeStruct(vertices.shape, jnp.float32)
+    return jax.pure_callback(on_host, like, vertices)
+
+mean_on_host = jax.custom_vjp(lambda vertices: forward(vertices)[0])
+mean_on_host.defvjp(forward, lambda by_vertices, scale: (scale * by_vertices,))
+print(jax.jit(jax.grad(mean_on_host))(walls.reshape(-1, 2)))
+```
+
+# Train what a PLR stores
+
+Planes, continuous and smooth leaves are linear in the values that the file stores. `plr.tunable()` returns a
+`plr_jax.TunablePLR`, a pytree of these values, which optax fits to measurements. Leaves keep their boxes, and stay
+continuous where they were. `to_plr` writes a file again, without a proof.
+
+```python
+problem = plr_jax.scenes.maze()
+oracle = plr_jax.VisibilityGraph(problem.workspace, problem.goals[0])
+plr = plr_jax.construct(oracle, problem.workspace.bounds, leaf="continuous", max_bytes=1024)
+x = problem.workspace.sample_free(500, seed=0)
+measured = 1.2 * oracle(x)
+
+@jax.jit
+def train(tunable, state):
+    loss, gradient = jax.value_and_grad(lambda fn: ((fn(x) - measured) ** 2).mean())(tunable)
+    updates, state = optimizer.update(gradient, state)
+    return optax.apply_updates(tunable, updates), state, loss
+
+tunable, optimizer = plr.tunable(), optax.adam(0.01)
+state = optimizer.init(tunable)
+for _ in range(100):
+    tunable, state, loss = train(tunable, state)
+print(loss, tunable.to_plr(max_bytes=1024))
+```
+
+# Where gradients jump
+
+- **Two equally short paths**: the gradient is that of one of them. Average over many points.
+- **A gap closes or opens**: the distance jumps, and no gradient announces it. Try several starts.
+- **Points in a wall**: distance `inf`, gradient 0. Mask them, as above; a penalty keeps walls away from points.
+- **Second derivatives** jump where a point begins to see another corner.
+- **Planes** jump between leaves, and so do gradients of continuous leaves. Gradients of smooth leaves do not, except
+  across walls.
+"""
