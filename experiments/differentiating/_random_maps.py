@@ -31,10 +31,8 @@ def random_map(seed: int, kind: str | None = None, num_corners: int | None = Non
     kind = kind or KINDS[seed % len(KINDS)]
     total = num_corners or int(rng.choice(_NUM_CORNERS))
     k = int(rng.choice([3, 4, 5, 8]))
-    number = max(1, total // k)
-    m, width = next(
-        shape for shape in _SHAPES if k <= shape[1] and number <= shape[0] and total <= shape[0] * shape[1]
-    )
+    number = min(max(1, total // k), 64 if k <= 4 else 32)
+    m, width = next(shape for shape in _SHAPES if number <= shape[0] and k <= shape[1])
     polygons = np.full((m, width, 2), np.nan)
     size = rng.uniform(0.25, 0.6) / np.sqrt(number)
     for i in range(number):
