@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from functools import reduce
 from itertools import pairwise
 
 import numpy as np
@@ -288,10 +289,7 @@ def take_ragged(
 
 def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n"]:
     """Sum each row from left to right, so that all CPUs round equally; ``np.sum`` adds in CPU-dependent blocks."""
-    total = terms[:, 0].copy()
-    for column in terms.T[1:]:
-        total += column
-    return total
+    return reduce(np.add, terms.T)
 
 
 def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "n ..."]:

@@ -248,8 +248,7 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
     rounding = np.array([robot.rounding for robot in problem.robots])
     a, b = shapely.STRtree(cores).query(cores, predicate="dwithin", distance=rounding + rounding.max())
     a, b = a[a < b], b[a < b]
-    close = shapely.distance(cores[a], cores[b]) <= rounding[a] + rounding[b]
-    for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
+    for j, i in sorted(zip(b.tolist(), a.tolist(), strict=True)):
         if (clearance := separation(cores[i], cores[j]) - rounding[i] - rounding[j]) < -problem.workspace.tolerance:
             pair = f"{configurations[i].tolist()} and {configurations[j].tolist()}"
             raise ValueError(f"Robots {i} and {j} overlap at their {name}: {pair} (clearance {clearance:.3g}).")

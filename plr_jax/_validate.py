@@ -22,7 +22,7 @@ from plr_jax._arrays import is_single
 from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups
-from plr_jax.robots import Robot, shorter_turn
+from plr_jax.robots import Robot, between, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
@@ -118,10 +118,7 @@ class _Encounter:
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return the distance between the two objects at times ``when``, in steps; negative if they overlap."""
-        bodies = _bodies(self.robot, _at(self.path, when))
-        others = np.full(len(when), self.other)
-        if self.other_path is not None:
-            others = _bodies(self.other, _at(self.other_path, when))
+        bodies, others = _bodies(self.robot, _at(self.path, when)), self._others(when)
         distance = np.asarray(shapely.distance(bodies, others))
         met = np.flatnonzero(distance == 0)
         distance[met] = [separation(*pair) for pair in zip(bodies[met], others[met], strict=True)]
@@ -129,6 +126,11 @@ class _Encounter:
             slight = met[distance[met] >= -self.tolerance]
             distance[slight[self._are_deep(bodies[slight], others[slight])]] = -2 * self.tolerance
         return distance - self.reach
+
+    def _others(self, when: Float[np.ndarray, " n"]) -> Any:
+        if self.other_path is None:
+            return np.full(len(when), self.other)
+        return _bodies(self.other, _at(self.other_path, when))
 
     def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, " n"]:
         # Return which overlaps are deeper than the tolerance: those that meet the body eroded by the tolerance. An
@@ -139,11 +141,9 @@ class _Encounter:
         # Return the smallest clearance in motions without turns. The robot sweeps the convex hull of its bodies at
         # both ends of the motion. If there is another robot, the motion is taken relative to that robot.
         start = _corners(self.robot, self.path[motion])
-        others = np.full(len(motion), self.other)
-        if self.other_path is not None:
-            others = _bodies(self.other, self.other_path[motion])
         corners = np.concatenate([start, start + self.velocity[motion, None]], axis=1)
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
+        others = self._others(motion.astype(float))
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach <= self.tolerance:  # at distance 0 a body is touched or entered
             met = np.flatnonzero(distance == 0)
@@ -272,10 +272,7 @@ def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, 
 
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n dof"]:
     motion = np.minimum(when.astype(int), len(path) - 2)
-    change = np.diff(path, axis=0)
-    if path.shape[1] > 2:
-        change[:, 2] = shorter_turn(path[:-1, 2], path[1:, 2])
-    return path[motion] + (when - motion)[:, None] * change[motion]
+    return between(path[motion], path[motion + 1], (when - motion)[:, None])
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:

@@ -89,9 +89,7 @@ def _coordinates_of(base: Any, space: Any, dim: int) -> Coordinates:
     """
     if isinstance(space, base.RealVectorStateSpace) and space.getDimension() >= dim:
         return lambda state: [state[axis] for axis in range(dim)]
-    if isinstance(space, base.SE2StateSpace) and dim == 2:
-        return lambda state: (state.getX(), state.getY())
-    if isinstance(space, base.SE2StateSpace) and dim == 3:
-        return lambda state: (state.getX(), state.getY(), state.getYaw())
+    if isinstance(space, base.SE2StateSpace) and dim in (2, 3):
+        return lambda state: (state.getX(), state.getY(), state.getYaw())[:dim]
     dimensions = f"a {type(space).__name__} of {space.getDimension()} dimensions and a PLR of {dim}"
     raise ValueError(f"coordinates must be given for {dimensions}: pass coordinates=lambda state: (...).")

@@ -3,17 +3,13 @@
 import time
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 import plr_jax
 from plr_jax.cli.app import command, fail_interrupted, warn
 from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, oracle_of, parse_goals
-
-if TYPE_CHECKING:
-    from plr_jax import PLR, DistanceFn
-    from plr_jax.geometry.workspace import Workspace
 
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000  # random free points at which the error is measured
@@ -154,17 +150,8 @@ def build(
     for warning in caught:
         warn(str(warning.message))
 
-    # 3. Report the error at points of another seed than the samples to which leaves were fitted.
+    # 3. Report the proven error, and the error at points of another seed than the samples to which leaves are fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
-    _print_errors(plr, oracle, workspace, tolerance)
-    if radius:
-        # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
-        typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
-    typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
-
-
-def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tolerance: float | None) -> None:
-    """Print the proven error of a certified PLR, and its error at random free points."""
     report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
     proven = plr.max_error
     assert proven is not None
@@ -175,7 +162,7 @@ def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tole
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")
-    if report.num_unreachable:
-        typer.echo(f"        {report.num_unreachable:,} of the points cannot reach the goal")
-    if report.num_unanswered:
-        typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
+    if radius:
+        # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
+        typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
+    typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")

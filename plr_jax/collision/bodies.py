@@ -1,11 +1,11 @@
 """Separation tests for convex bodies in straight motion, by bisection of the motions until a test is certain.
 
 A motion takes one unit of time: the position moves at constant velocity, and the heading turns at a constant rate,
-the shorter way. A test (*kernel*) looks for an axis that separates two bodies during an interval of their motions;
-the axis is fixed, or turns with one body. The gap along the axis deviates from its linear interpolation by at most an
-eighth of its largest second derivative, called the *bulge*. So the smaller of the gaps at both ends of the interval,
-minus the bulge, is a lower bound of the gap. Each bisection divides the bulge by four; the bulge is 0 if nothing
-turns. Motions that stay uncertain count as collisions.
+the shorter way. A *kernel* looks for an axis that separates two bodies during an interval of their motions. The axis
+is fixed, or turns with one body. The gap along the axis deviates from its linear interpolation by at most an eighth
+of its largest second derivative, called the *bulge*. So the smaller of the gaps at both ends of the interval, minus
+the bulge, is a lower bound of the gap. Each bisection divides the bulge by four; the bulge is 0 if nothing turns.
+Motions that stay uncertain count as collisions.
 """
 
 import math
@@ -13,9 +13,9 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import require_time
+from plr_jax._arrays import ragged_indices, require_time
 from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 from plr_jax.robots import Robot, shorter_turn
 
@@ -25,7 +25,6 @@ _FEW = 24  # corners up to which the lowest one is searched exhaustively
 Column: TypeAlias = Float[np.ndarray, " n"]
 Columns: TypeAlias = tuple[Column, Column]
 Booleans: TypeAlias = Bool[np.ndarray, " n"]
-Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly stay apart, and that certainly do not
 Sides: TypeAlias = Float[np.ndarray, "sides n"]
 Corners: TypeAlias = Float[np.ndarray, "2 _ n"]
 # The corners of two bodies, at the begin of their motions and at the end.
@@ -52,11 +51,15 @@ class MovingBodies(NamedTuple):
     def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
-    def bisected(self) -> "MovingBodies":
-        """Return both halves of each motion, in adjacent columns, each slowed down to take one unit of time."""
-        half = [0.5 * rate for rate in self[4:]]
-        pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
-        return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
+    def divided(self, count: Int[np.ndarray, " n"]) -> tuple["MovingBodies", Int[np.ndarray, " parts"]]:
+        """Divide each motion into ``count`` equal parts; return the parts, and the index of each part's motion.
+
+        The parts of a motion are in adjacent columns, and each is slowed down to take one unit of time.
+        """
+        motion, step = ragged_indices(count)
+        whole, fraction = self.take(motion), 1 / count[motion]
+        pose = [q + step / count[motion] * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
+        return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), motion
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
@@ -71,13 +74,15 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 
 
 def bisect(
-    kernel: Callable[..., Verdict], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
+    kernel: Callable[..., Columns], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
     """Return whether each body of ``a`` stays ``reach`` away from the body of ``b`` in the same column.
 
-    The bodies move at the same time. A negative ``reach`` allows overlaps. Motions are bisected until ``kernel``, a
-    separation test, is certain. Pairs that are still uncertain after 12 bisections count as too near. If the
-    ``deadline``, a time of ``time.perf_counter``, passes, ``TimeoutError`` is raised.
+    The bodies move at the same time. A negative ``reach`` allows overlaps. ``kernel`` returns two gaps for each pair
+    of bodies: a lower bound of the gap during the whole motion, which loses nothing if nothing turns, and the smaller
+    of the gaps at both ends. Motions are bisected until these gaps decide. Pairs that are still uncertain after 12
+    bisections count as too near. If the ``deadline``, a time of ``time.perf_counter``, passes, ``TimeoutError`` is
+    raised.
     """
     num_a, num_b = a.size.shape[-2], b.size.shape[-2]  # corners
     size = max(1, _CORNERS // max(num_a + num_b, num_a * num_b if reach > 0 else 0))  # distances need all pairs
@@ -92,14 +97,17 @@ def bisect(
                 waiting.append((a.take(part), b.take(part), pair[part], bisections))
             continue
         require_time(deadline, "all motions were tested")
-        clear, hit = kernel(a, b, reach)
+        gap, gap_at_ends = kernel(a, b, reach)
+        clear = gap >= reach
+        hit = (gap_at_ends < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
         apart[pair[hit]] = False
         unsure = ~clear & apart[pair]  # nothing is left to decide for pairs that hit each other
         if bisections == _MAX_BISECTIONS:
             apart[pair[unsure]] = False
         elif unsure.any():
-            halves = a.take(unsure).bisected(), b.take(unsure).bisected()
-            waiting.append((*halves, np.repeat(pair[unsure], 2), bisections + 1))
+            two = np.full(np.count_nonzero(unsure), 2)
+            (halves_a, index), (halves_b, _) = (body.take(unsure).divided(two) for body in (a, b))
+            waiting.append((halves_a, halves_b, pair[unsure][index], bisections + 1))
     return apart
 
 
@@ -128,11 +136,8 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
     return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
 
 
-def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which pairs of convex bodies certainly stay ``reach`` apart, and which pairs certainly do not.
-
-    The results are two boolean arrays with one entry per pair. For an uncertain pair, both entries are False.
-    """
+def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
+    """Return the gaps between pairs of convex bodies, for :func:`bisect`."""
     # The gap along a unit vector n is min(n . q over corners q of b) - max(n . p over corners p of a). `gap` is the
     # largest lower bound of the gap during the whole motion, over the axes below.
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
@@ -154,9 +159,7 @@ def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict
         (nx, ny), distances = _nearest(ends)
         gap = np.maximum(gap, _smaller_gap(ends, nx, ny) - bulge)
         separation = [np.where(depth < 0, depth, d) for depth, d in zip(separation, distances, strict=True)]
-    clear = gap >= reach
-    # If nothing turns, no bulge is lost: motions that are not clear collide.
-    return clear, (np.minimum(*separation) < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
+    return gap, np.minimum(*separation)
 
 
 def _corners_at(a: MovingBodies, b: MovingBodies, end: float) -> tuple[Corners, Corners]:
@@ -243,8 +246,9 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])
 
 
-def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    # ``reach`` is at most 0, since the distance of two boxes that do not overlap may exceed the gaps tested here.
+def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
+    # The gaps between pairs of boxes, for ``bisect``. ``reach`` is at most 0, since the distance of two boxes that do
+    # not overlap may exceed the gaps tested here.
     # The gap along an axis is |u| - support: u is the offset of the centers along it, support the sum of half
     # extents.
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
@@ -260,17 +264,13 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     for (u0, support0), (u1, support1), bulge in zip(first, last, (of_a, of_a, of_b, of_b), strict=True):
         # The other body must be on the same side of the axis at both ends.
         gap = np.maximum(gap, np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1) - bulge)
-    clear = gap >= reach
     # 3. At each end, the axes along the sides decide (separating axis theorem).
     separation = np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))
-    return clear, (separation < reach) | ((a.turn == 0) & (b.turn == 0) & ~clear)
+    return gap, separation
 
 
-def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which pairs of a box ``a`` and a point ``b`` certainly stay ``reach`` apart, and which certainly do not.
-
-    The results are two boolean arrays with one entry per pair. For an uncertain pair, both entries are False.
-    """
+def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
+    """Return the gaps between pairs of a box ``a`` and a point ``b``, for :func:`bisect`."""
     # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
     ends, distances = [], []
     for end in (0.0, 1.0):
@@ -282,8 +282,7 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
         distances.append(outside + np.minimum(np.maximum(beside, above), 0))  # from the box, negative inside
     bulge, _ = rotation_bounds(a, b, *b.size)  # the point's radius is 0
     nearer = np.minimum(*distances)
-    clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge
-    return clear, (nearer < reach) | ((a.turn == 0) & ~clear)
+    return np.minimum(nearer, _distance_of_chord(*ends, *a.size)) - bulge, nearer
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:

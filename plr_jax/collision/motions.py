@@ -220,8 +220,6 @@ class JointMotionTest:
         ``first_row[k]`` of ``trajectory`` to the next row. ``result[k]`` says whether they hit each other.
         """
         others_begin, others_end = trajectory.path[first_row, j], trajectory.path[first_row + 1, j]
-        if not self.first_equal.any():  # all robots are equal
-            return ~self.apart(i, begin, end, 0, others_begin, others_end)
         result = np.empty(len(first_row), dtype=bool)
         for kind in set(self.first_equal[j].tolist()):
             rows = np.flatnonzero(self.first_equal[j] == kind)

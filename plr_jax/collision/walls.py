@@ -13,14 +13,14 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
+from plr_jax._arrays import parts, require_time, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot
 
 # Batches:
-_CHUNK = 1 << 14  # motions at a time
+_CHUNK = 1 << 14  # motions at a time, which bounds the memory
 _PAIRS = 1 << 17  # pairs of pieces and edges at a time, between two checks of the clock
 _CENTERS = 1 << 13  # cells at a time while the grid is built, between two checks of the clock
 _EDGES_PER_POINT = 128  # estimated work for a point, in pairs; its visibility is tested among all edges
@@ -69,12 +69,37 @@ class MotionTest:
         """Return whether motions between finite configurations are collision-free, up to ``workspace.tolerance``.
 
         The result is exact, with one exception: it may be False if a robot turns within about 1e-7 of its size from a
-        wall.
+        wall. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
-        free = np.empty(len(q0), dtype=bool)
-        for begin in range(0, len(q0), _CHUNK):
-            rows = slice(begin, begin + _CHUNK)
-            free[rows] = self._test(q0[rows], q1[rows], deadline)
+        if len(q0) > _CHUNK:
+            chunks = (slice(begin, begin + _CHUNK) for begin in range(0, len(q0), _CHUNK))
+            return np.concatenate([self(q0[rows], q1[rows], deadline) for rows in chunks])
+        # Clearances at the centers of grid cells decide most motions. The other motions are tested against walls.
+        # 1. Cut each motion into equal pieces no longer than `_longest`. Bound the clearance from below on each piece
+        #    and, in its middle (x, y), from above.
+        whole = moving_bodies(self.robot, q0, q1)
+        num_pieces = np.ceil(np.hypot(whole.dx, whole.dy) / self._longest)
+        pieces, motion = whole.divided(np.maximum(num_pieces, 1).astype(np.intp))
+        x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
+        half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
+        cell, from_center = self._locate(x, y)
+        clearance = self._clearance[cell]
+        clear = clearance - from_center - half >= self.robot.circumscribed_radius
+        may_fit = clearance + from_center >= self.robot.inscribed_radius - self.workspace.tolerance
+        # 2. Test the undecided pieces against walls.
+        unsure = np.flatnonzero(~clear & may_fit)
+        clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
+        # 3. A body that no wall cuts is inside or outside. If the middle may be outside, test the center of the body
+        #    there: the reference point may touch a wall.
+        doubtful = unsure[clear[unsure] & (clearance[unsure] <= from_center[unsure])]
+        u, v = self.robot.core.mean(axis=0)
+        heading = pieces.theta[doubtful] + 0.5 * pieces.turn[doubtful]
+        c, s = np.cos(heading), np.sin(heading)
+        center = np.stack([x[doubtful] + c * u - s * v, y[doubtful] + s * u + c * v], axis=1)
+        clear[doubtful] = self.workspace.is_free_to_tolerance(center)
+        # 4. A motion is free if all its pieces are.
+        free = np.ones(len(q0), dtype=bool)
+        free[motion[~clear]] = False
         return free
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
@@ -97,38 +122,6 @@ class MotionTest:
         """
         cell, from_center = self._locate(x, y)
         return self._clearance[cell] - from_center > radius + self.robot.circumscribed_radius
-
-    def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
-        """Return which motions are free.
-
-        Clearances at the centers of grid cells decide most motions. The other motions are tested against walls;
-        ``TimeoutError`` if the deadline passes before these tests end.
-        """
-        pieces, motion = _cut_into_pieces(self.robot, q0, q1, self._longest)
-        # 1. Bound the clearance from below on each piece, and from above in its middle (x, y).
-        x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
-        half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
-        cell, from_center = self._locate(x, y)
-        clearance = self._clearance[cell]
-        clear = clearance - from_center - half >= self.robot.circumscribed_radius
-        may_fit = clearance + from_center >= self.robot.inscribed_radius - self.workspace.tolerance
-        # 2. Test the undecided pieces against walls.
-        unsure = np.flatnonzero(~clear & may_fit)
-        clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
-        # 3. A body that no wall cuts is inside or outside. If the middle may be outside, test the center of the body
-        #    there: the reference point may touch a wall.
-        doubtful = unsure[clear[unsure] & (clearance[unsure] <= from_center[unsure])]
-        u, v = self.robot.core.mean(axis=0)
-        heading = pieces.theta[doubtful] + 0.5 * pieces.turn[doubtful]
-        c, s = np.cos(heading), np.sin(heading)
-        center = np.stack([x[doubtful] + c * u - s * v, y[doubtful] + s * u + c * v], axis=1)
-        clear[doubtful] = self.workspace.is_free_to_tolerance(center)
-        if motion is None:
-            return clear
-        # 4. A motion is free if all its pieces are.
-        free = np.ones(len(q0), dtype=bool)
-        free[motion[~clear]] = False
-        return free
 
     def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, " n"], Column]:
         """Return the index of the grid cell of each point, and the distance from the point to the cell's center.
@@ -221,23 +214,3 @@ _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
-
-
-def _cut_into_pieces(
-    robot: Robot, q0: Configurations, q1: Configurations, longest: float
-) -> tuple[MovingBodies, Int[np.ndarray, " m"] | None]:
-    """Cut each motion into equal parts no longer than ``longest``, and return all parts.
-
-    Also return, for each part, the index of its motion; or None if no motion is cut.
-    """
-    whole = moving_bodies(robot, q0, q1)
-    count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
-    if not (count > 1).any():
-        return whole, None
-    # Fields of `whole`: the size, then the pose (x, y, theta) at the begin, then its rate of change.
-    count = np.maximum(count, 1)
-    motion, step = ragged_indices(count)
-    begin, fraction = step / count[motion], 1 / count[motion]
-    whole = whole.take(motion)
-    pose = [q + begin * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
-    return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), motion

@@ -22,13 +22,12 @@ from plr_jax.plr._file import DecodedFile, cut_off_leaves, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import MOST_GOALS, Certificate, LeafBounds, Proof, StraightBound
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.frame import enumerate_boxes
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaf_faces import overlapping_leaves
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
 from plr_jax.plr.sampling import Sampler, sample_pattern
-from plr_jax.plr.tree import PLACING, Cells, corner_bits
+from plr_jax.plr.tree import PLACING, Cells, corner_bits, enumerate_boxes
 from plr_jax.spaces import CellState, MotionCost, VoxelSpace
 
 _MOST_VOXELS = 1 << 24  # most voxels of spaces in which paths from voxel to voxel give upper bounds

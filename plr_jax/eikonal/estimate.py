@@ -19,8 +19,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._types import Reach
-from plr_jax.eikonal.goals import GoalIndex, Goals, Points, carried_goals, nearest_goals
-from plr_jax.eikonal.march import Costs, IsOpen, NearGoals, Sides, VoxelGroups, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Points, Sides, carried_goals, nearest_goals
+from plr_jax.eikonal.march import IsOpen, NearGoals, VoxelGroups, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
@@ -370,13 +370,12 @@ def _nodes_at_walls(
             is_tested[(slice(None),) * axis + (-1,)] = False
         unit = np.arange(len(side)) == axis
         begin = np.argwhere(is_tested)
-        end = (begin + unit) % is_open.shape
         step = side * unit
         q = node[tuple(begin.T)]
         is_walled = ~space.are_free(q, q + step)
-        begin, end, q = begin[is_walled], end[is_walled], q[is_walled]
+        begin, q = begin[is_walled], q[is_walled]
         is_far = space.are_free(q, q + step / 2)  # then the wall is in the second half
-        closed[tuple(np.where(is_far[:, None], end, begin).T)] = True
+        closed[tuple(((begin + is_far[:, None] * unit) % is_open.shape).T)] = True
     return closed
 
 

@@ -16,7 +16,10 @@ from plr_jax.spaces import MotionCost
 
 Points = Float[np.ndarray, "n dim"]
 Goals = Float[np.ndarray, "goals dim"]
+# Values of the nodes of a grid of any shape, and the grid's step along each axis.
 GoalIndex = Int[np.ndarray, "*shape"]
+Costs = Float[np.ndarray, "*shape"]
+Sides = Float[np.ndarray, "dim"]
 WhichGoal = Callable[[Points], Int[np.ndarray, " n"]]  # from points to the indices of the goals of their paths
 _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
@@ -48,11 +51,7 @@ def nearest_goals(
 
 
 def carried_goals(
-    cost: Float[np.ndarray, "*shape"],
-    known_goal: GoalIndex,
-    side: Float[np.ndarray, " dim"],
-    periodic: tuple[bool, ...],
-    num_goals: int,
+    cost: Costs, known_goal: GoalIndex, side: Sides, periodic: tuple[bool, ...], num_goals: int
 ) -> GoalIndex:
     """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 

@@ -13,12 +13,12 @@ from typing import Any, cast
 
 import numpy as np
 import skfmm
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import Goals
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides
 from plr_jax.geometry.box import Box
 
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
@@ -30,8 +30,6 @@ _LARGEST_CHANGE = 0.02
 _WIDE = 5  # groups along each axis of this cube
 _RANKS = 2  # shares are rounded to so many steps
 IsOpen = Bool[np.ndarray, "*shape"]
-Costs = Float[np.ndarray, "*shape"]
-Sides = Float[np.ndarray, "dim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class NearGoals:
     """The goals near each node of a grid, and balls around all goals in which straight motions may be cheapest."""
 
     straight: Costs  # cost of a free straight motion to a goal; inf if none is known
-    goal: Int[np.ndarray, "*shape"]  # index of the goal of this motion; -1 if none is known
+    goal: GoalIndex  # index of the goal of this motion; -1 if none is known
     lengths: Costs  # distance to the nearest goal
     sees_nearest: IsOpen  # whether the straight motion to the nearest goal is free
     at_nearest: Costs  # cost per unit of length at the nearest goal

@@ -466,13 +466,12 @@ class _Poisson:
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, " goals"]):
         # Minimize sum(volume * penalty * |G u - field|**2) / 2 + sum(stiffness * (u at goals - at_goals)**2) / 2
-        # - load . u, with G the gradient and V the diagonal matrix of volume * penalty:
+        # - load . u, with G the gradient and V (`weights`) the diagonal matrix of volume * penalty:
         #   (G' V G + goal' stiffness goal) u = load + G' V field + goal' stiffness at_goals.
         # All flow enters a single goal, so there are no terms of goals. The solution is then unique up to a constant,
         # and the first unknown is fixed to 0.
-        self.divergence = csr_array(
-            (diags_array(np.tile(penalty * program.volume, program.dim)) @ program.gradient).T
-        )
+        weights = diags_array(np.tile(penalty * program.volume, program.dim))
+        self.divergence = csr_array((weights @ program.gradient).T)
         matrix = self.divergence @ program.gradient
         self.stiffness = stiffness
         self._num_fixed = int(len(stiffness) == 1)

@@ -34,6 +34,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import as_numbers, shortened
 from plr_jax.eikonal.program import rescaling_of
+from plr_jax.geometry.graph import path_ends
 
 # Numbers of cells for a search for paths, which takes about 4 kB a cell:
 _FINE_CELLS = 60_000  # smaller rasters are divided into about so many cells: 240 MB
@@ -245,15 +246,12 @@ def _beside(values: Padded, shape: tuple[int, ...], offset: tuple[int, int]) -> 
 
 
 def _straight_costs(
-    cost: Padded,
-    side: Sides,
-    points: Points,
-    home: Int[np.ndarray, "k 2"],  # row and column of each point's cell
-    near: Int[np.ndarray, "nodes 2"],  # offsets from the center of that cell, in half cells
+    cost: Padded, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
-    Nodes are centers and corners of cells. A motion through a barrier costs ``inf``.
+    Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
+    cell. ``home`` has the row and column of this cell. A motion through a barrier costs ``inf``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
@@ -462,12 +460,10 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
             part(least, a)[is_better] = through[is_better]
             part(toward, a)[is_better] = part(index, b)[is_better]
     del index, least
-    # 2. Follow the next cells by pointer doubling: replace each next cell by its next cell until nothing changes.
-    #    Next cells have smaller distances, so paths end: in cells with a source, or where no next cell is better.
-    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
-    while not np.array_equal(further := toward[toward], toward):
-        toward = further
-    return label.ravel()[toward].reshape(label.shape)
+    # 2. Follow the next cells. They have smaller distances, so paths end: in cells with a source, or where no next
+    #    cell is better.
+    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward)
+    return label.ravel()[path_ends(toward.ravel())].reshape(label.shape)
 
 
 def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:

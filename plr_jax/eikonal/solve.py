@@ -25,9 +25,9 @@ from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._construct import BuildOptions, construct, warn_if_cut_off
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import BudgetTooSmall, ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
+from plr_jax.plr.sizes import max_axis_depth
 from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, FreeTest, Separable, require_space
 from plr_jax.spaces._costs import CostMap, cost_bounds
 
@@ -164,12 +164,9 @@ def solve_eikonal(
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
         nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
         is_seen[first[guide.unseen]] = False
-        _require_goals(
-            goal,
-            is_seen,
-            f"The goal must be seen from a node of the grid of {nodes} nodes",
-            ": it is too close to obstacles. Move it, or leave out certified=False",
-        )
+        must_be_seen = f"The goal must be seen from a node of the grid of {nodes} nodes"
+        why = ": it is too close to obstacles. Move it, or leave out certified=False"
+        _require_goals(goal, is_seen, must_be_seen, why)
         _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
         # 4a. Fit a PLR to the estimate. Its file also holds the bound by straight motions, which takes a part of it.
         leaf, options = "continuous", BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)
@@ -216,9 +213,7 @@ def _row_of_goal(rows: Int[np.ndarray, " k"], which: WhichGoal, x: Points) -> In
     return rows[which(x)]
 
 
-def _require_goals(
-    goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, " goals"], must: str, why: str = ""
-) -> None:
+def _require_goals(goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, " goals"], must: str, why: str) -> None:
     # Raise a ValueError for the first goal that is not fine.
     if not is_fine.all():
         row = int(is_fine.argmin())
@@ -254,15 +249,14 @@ def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -
 
 
 def _field(
-    space: ConfigurationSpace,
-    cost_map: CostMap | None,
-    goals: Goals,  # fractions of the domain
-    max_cells: int,
-    tolerance: float,
-    places: Float[np.ndarray, "places dim"],  # the goals as given: rounding has moved `goals`
+    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float, given: Points
 ) -> tuple[CostToGoField, WhichGoal]:
+    """Solve for bounds and an estimate of the cost-to-go; also return a function that finds the goals of points.
+
+    ``goals`` are fractions of the domain. The goals as ``given`` are not rounded.
+    """
     # 1. Solve for the lower bound, in the part of the space that paths join to goals.
-    reached, cut_off = space.separated(places) if isinstance(space, Separable) else (space, None)
+    reached, cut_off = space.separated(given) if isinstance(space, Separable) else (space, None)
     reach = None if cut_off is None else _reach_of_spaces(reached, cut_off)
     solver = SlopeSolver(reached, cost_map, goals, max_cells, tolerance, reach)
     with tqdm(desc="solve_eikonal", total=max_cells, unit=" cells", delay=3, leave=False, disable=None) as progress:
@@ -312,22 +306,20 @@ _DEEPEST = 13  # most halvings of a cell along an axis, if a query's tables reso
 _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its width
 
 
+@dataclass(eq=False)
 class SlopeSolver:
     """A solver of the largest lower bound of the cost-to-go, on a mesh that it refines where the bound is loose."""
 
-    def __init__(
-        self,
-        space: ConfigurationSpace,
-        cost_map: CostMap | None,
-        goals: Goals,  # fractions of the domain
-        max_cells: int,
-        tolerance: float,
-        reach: Reach | None = None,  # if the space lacks free configurations that paths do not join to the goals
-    ):
-        self.space, self.cost_map, self.goals, self.reach = space, cost_map, goals, reach
-        self.max_cells, self.tolerance = max_cells, tolerance
-        mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
-        self.program = SlopeProgram.on(mesh, space, cost_map, goals)
+    space: ConfigurationSpace
+    cost_map: CostMap | None
+    goals: Goals  # fractions of the domain
+    max_cells: int
+    tolerance: float
+    reach: Reach | None = None  # if the space lacks free configurations that paths do not join to the goals
+
+    def __post_init__(self):
+        mesh = coarse_mesh(self.space, max(int(_COARSEST * self.max_cells), _FEWEST), self.max_cells)
+        self.program = SlopeProgram.on(mesh, self.space, self.cost_map, self.goals)
         self.iterate: Iterate | None = None
         # The state as which each mixed cell counts: FREE or BLOCKED, or MIXED if it is not known yet.
         self._through = np.full(len(mesh.state), CellState.MIXED, np.int8)

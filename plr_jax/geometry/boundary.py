@@ -8,16 +8,15 @@ from typing import Any, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import scipy.sparse
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse.csgraph import connected_components
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
 from plr_jax._arrays import PickledWithoutCaches, as_numbers, index_of, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientation, pseudo_angle, turn_between
 
 _COLLARS = 256  # strips along walls that are united in one call
@@ -428,9 +427,8 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)
     places: Any = shapely.points(points)
-    i, j = shapely.STRtree(places).query(places, predicate="dwithin", distance=tolerance)
-    graph = scipy.sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
-    _, first, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
+    pairs = shapely.STRtree(places).query(places, predicate="dwithin", distance=tolerance)
+    _, first, group = np.unique(connected_groups(len(points), pairs), return_index=True, return_inverse=True)
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 

@@ -15,7 +15,7 @@ from plr_jax._arrays import concatenated, parts, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
-from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, views_by_triangle
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, corners_by_triangle, sorted_unique
 from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
@@ -65,11 +65,9 @@ class FamilySamples:
         weight[weight < _LEAST_FREE_AREA] = 0.0
         sampled = np.flatnonzero(weight)
         x[weight == 0] = np.nan
-        # 3. List, for each triangle, the corners that see a part of it; both ways to bend around a corner are one.
+        # 3. List, for each triangle, the corners that see a part of it.
         corners = visibility.corners
-        first, turns = turns_by_triangle(visibility, triangulation)
-        triangle = np.repeat(np.arange(len(first) - 1), np.diff(first))
-        first, corner_of_entry = views_by_triangle(triangulation, np.stack([turns >> 1, triangle]))
+        first, corner_of_entry = corners_by_triangle(visibility, triangulation)
         # 4. Pair each sample with the corners of its triangle that it sees and at which a path from it may turn.
         places = triangulation.place(x[sampled])
         pairs = [np.zeros((2, 0), np.int64)]
@@ -209,8 +207,7 @@ def cells_of_goals(
         source = np.append(0 * near, vertex[entry]) + goal[owner] * count
         pairs = np.flatnonzero(sight.may_bend(pieces[:, owner], source))
         keys.append(owner[pairs] * np.int64(num_sources) + source[pairs])
-    key = np.sort(np.concatenate(keys))
-    piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], num_sources)
+    piece, source = np.divmod(sorted_unique(np.concatenate(keys)), num_sources)
     # 3. Test what viewpoints see, once for all goals: what a corner sees of a piece does not depend on the goal.
     num_views = len(sight.shadows.table.points)
     key, index = np.unique(rows[piece] * num_views + sight.view[source], return_inverse=True)

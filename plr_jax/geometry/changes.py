@@ -13,12 +13,11 @@ from typing import TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import ragged_indices, take_ragged
 from plr_jax.geometry.boundary import Boundary, boxes_near, match_boundary
 from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, mutually_visible_pairs
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, triangulation_of
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
@@ -56,9 +55,8 @@ class Change:
         # 1. Group the ends of edges that are gone or new.
         segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
         points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
-        start, end = index.reshape(-1, 2).T
-        graph = coo_array((np.ones(len(start)), (start, end)), (len(points),) * 2)
-        num_groups, group = connected_components(graph, directed=False)
+        group = connected_groups(len(points), index.reshape(-1, 2).T)
+        num_groups = group.max(initial=-1) + 1
         # 2. Find the bounding box of each group.
         lo, hi = np.full((num_groups, 2), np.inf), np.full((num_groups, 2), -np.inf)
         np.minimum.at(lo, group, points)

@@ -18,7 +18,6 @@ Values: TypeAlias = Float[np.ndarray, "pieces corners"]
 Corners: TypeAlias = Float[np.ndarray, "n 2"]
 Some: TypeAlias = Int[np.ndarray, " some"]
 _BOXES_AND_PIECES = 1 << 22  # pairs of a box and a piece that are compared at a time
-_CORNERS_OF_BOX = 4  # most pieces are boxes, which are processed apart from pieces with more corners
 _AT_ONCE = 1 << 11  # pieces processed at a time, so that their arrays stay in a core's cache
 ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clipping needs one more
 
@@ -144,11 +143,9 @@ def difference_of_cones(
     The difference is ``offset + |x - apex| - other_offset - |x - other_apex|``.
     """
     least, most = np.empty((2, len(offset)))
-    is_short = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))  # at most four corners
-    for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_short)), (pieces.shape[2], np.flatnonzero(~is_short))):
-        for begin in range(0, len(group), _AT_ONCE):
-            rows = group[begin : begin + _AT_ONCE]
-            least[rows], most[rows] = _extremes(pieces[:, rows, :count], apex[rows], other_apex[rows])
+    for begin in range(0, len(offset), _AT_ONCE):
+        rows = slice(begin, begin + _AT_ONCE)
+        least[rows], most[rows] = _extremes(pieces[:, rows], apex[rows], other_apex[rows])
     shift = offset - other_offset
     return least + shift, most + shift
 

@@ -12,7 +12,7 @@ from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
@@ -109,7 +109,7 @@ def mutually_visible_pairs(
     # number of a pair that sees one another occurs twice, side by side.
     size = np.int64(len(corners.points))
     number = np.minimum(view, seen) * size + np.maximum(view, seen)
-    pair = _sorted_unique(2 * number + (view < seen)) >> 1
+    pair = sorted_unique(2 * number + (view < seen)) >> 1
     mutual = pair[1:][pair[1:] == pair[:-1]]
     return np.stack(np.divmod(mutual, size), axis=1).astype(np.int32)
 
@@ -124,7 +124,7 @@ def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "
     return corner
 
 
-def _sorted_unique(keys: Int[np.ndarray, " n"]) -> Int[np.ndarray, " distinct"]:
+def sorted_unique(keys: Int[np.ndarray, " n"]) -> Int[np.ndarray, " distinct"]:
     keys = np.sort(keys)  # faster than the hashing of ``np.unique`` if most keys are distinct
     return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
 
@@ -243,8 +243,10 @@ class TurnRegions:
         corner is -1 and the length ``inf``.
         """
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
-        # 1. Find the triangles of each point: one, or two if the point is on a side. Points at vertices are left out.
-        point, first, triangle = triangles_at(self.triangulation, places)
+        # 1. Find the triangles of each point that is not a vertex: one, or two if the point is on a side.
+        is_vertex = places.on_side.sum(axis=1) > 1
+        point, rest = np.flatnonzero(~is_vertex), np.flatnonzero(is_vertex)
+        first, triangle = triangles_at(self.triangulation, places[point])
         # 2. The candidates of a point are the turns that its triangles list. The point's path turns first at the
         #    candidate of least path length among the candidates that the point sees.
         num_listed = self.first[triangle + 1] - self.first[triangle]
@@ -261,7 +263,6 @@ class TurnRegions:
             )
             vertex[rows] = np.append(corner, -1)[pair]
         # 3. At a vertex, many triangles meet: there, a point tries all turns.
-        rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
         vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda i, corner: sees(rest[i], corner))
         return vertex, length
 
@@ -273,21 +274,33 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
     """
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
-    triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
+    triangle, view = np.divmod(sorted_unique(triangle * np.int64(count) + view), count)
     return np.searchsorted(triangle, np.arange(len(triangulation.origin) // 3 + 1)), view
+
+
+def corners_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
+    """List, for each triangle of free space, the corners where paths from points of the triangle may turn first.
+
+    The result is ``(first, corner)``: triangle ``t`` has the corners ``corner[first[t] : first[t + 1]]``.
+    """
+    # A path may turn at a corner only if it comes from a direction v for which `opens x v` and `closes x v`, with the
+    # directions of the corner's walls, are both at least 0 (from opens to -closes), or both at most 0.
+    opens, closes = visibility.corners.walls
+    cones = (opens, -closes), (-opens, closes)
+    visits = [triangles_within(triangulation, visibility.views, *cone) for cone in cones]
+    return views_by_triangle(triangulation, np.concatenate(visits, axis=1))
 
 
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
-) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
-    """Return the triangles that contain each point, as arrays ``(point, first, triangle)``.
+) -> tuple[Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
+    """Return the triangles that contain each point, as arrays ``(first, triangle)``.
 
-    Point ``point[i]`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on
-    the side between them. Points at vertices are left out.
+    Point ``i`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on the side
+    between them. A point at a vertex has one entry, the number of triangles.
     """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
-    is_listed = num_sides < 2
-    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)[is_listed]
-    triangles = np.stack([places.triangle, beyond], axis=1)[is_listed]
-    return np.flatnonzero(is_listed), np.append(0, np.cumsum(counts)), triangles[np.arange(2) < counts[:, None]]
+    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)
+    triangle = np.where(num_sides > 1, len(triangulation.triangles), places.triangle)
+    return np.append(0, np.cumsum(counts)), np.stack([triangle, beyond], axis=1)[np.arange(2) < counts[:, None]]

@@ -68,6 +68,12 @@ def dijkstra(
     return sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
 
 
+def connected_groups(num_vertices: int, edges: Int[np.ndarray, "2 _"]) -> Int[np.ndarray, " v"]:
+    """Return the number of the connected component of each vertex, from 0; ``edges`` has two rows of vertices."""
+    graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(num_vertices, num_vertices))
+    return sparse_graphs.connected_components(graph, directed=False)[1]
+
+
 def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.ndarray, " d"], vertex: int) -> Points:
     """Return the path from ``start`` straight to a vertex, then from each vertex to its parent, until the root.
 

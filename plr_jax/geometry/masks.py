@@ -10,15 +10,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import (
-    as_cells,
-    as_finite,
-    as_numbers,
-    product_in_order,
-    ragged_indices,
-    require_integer,
-    shortened,
-)
+from plr_jax._arrays import as_cells, as_finite, as_numbers, ragged_indices, require_integer, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
@@ -278,10 +270,14 @@ def placed_region(
         raise ValueError(f"No pixel of {free.shape[0]} x {free.shape[1]} is free.")
     # 3. Scale, turn and move the region.
     yaw = pose[2] if len(pose) == 3 else 0.0
-    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-    # The product is computed in a fixed order, so that both corners of a contact get the same place.
-    region = region_of_mask(free, tolerance)
-    return shapely.transform(region, lambda points: pose[:2] + product_in_order(resolution * points, turn))
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+
+    def placed(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        # Not a matrix product, which may round equal points differently: both corners of a contact must stay equal.
+        x, y = resolution * points.T
+        return pose[:2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
+
+    return shapely.transform(region_of_mask(free, tolerance), placed)
 
 
 def rounded_one_by_one(region: Any, grid: float) -> Any:

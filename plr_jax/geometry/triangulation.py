@@ -11,11 +11,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import PickledWithoutCaches, index_of, take_ragged
 from plr_jax.geometry.boundary import Boundary, Edges, grid_at
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 Triangles: TypeAlias = Int[np.ndarray, "triangles 3"]
@@ -382,8 +381,7 @@ def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[H
     # 2. Walls divide the triangles into connected parts. A part is free if one of its half-edges has a wall.
     is_blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
     passage = np.flatnonzero(~is_blocked)
-    links = np.ones(len(passage)), (passage // 3, twin[passage] // 3)
-    _, part = connected_components(coo_array(links, shape=(len(triangles),) * 2), directed=False)
+    part = connected_groups(len(triangles), np.stack([passage, twin[passage]]) // 3)
     free = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
     # 3. Number the half-edges of the free triangles.
     new_index = np.full(len(triangles), -1)

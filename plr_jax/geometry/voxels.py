@@ -5,6 +5,7 @@ Coordinates are compared with faces without rounding, so statements about touchi
 everything above, both blocked. Arrays of voxel numbers and of coordinates have shape ``(dim, n)``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -152,17 +153,10 @@ class VoxelGrid:
         the table means the face between voxels ``k`` and ``k + 1`` along a normal axis, and voxel ``k`` along any
         other axis.
         """
-        contacts, shape = [], self.padded.shape
+        contacts = []
         for num_across in range(2, self.dim + 1):
-            is_disconnected = disconnected_sets(num_across)
             for across in combinations(range(self.dim), num_across):
-                # Bit i of `around` says whether voxel i of the ``2**num_across`` voxels around is free.
-                around = np.zeros([n - (axis in across) for axis, n in enumerate(shape)], np.uint16)
-                for bit, sides in enumerate(product((0, 1), repeat=num_across)):
-                    side = dict(zip(across, sides, strict=True))  # of each axis across: 0 below, 1 above
-                    voxels = tuple(slice(side.get(a, 0), n - 1 + side.get(a, 1)) for a, n in enumerate(shape))
-                    around |= self.padded[voxels].astype(np.uint16) << np.uint16(bit)
-                touches = is_disconnected[around]
+                touches = are_disconnected(self.padded, across)
                 if touches.any():
                     contacts.append((across, Sums.of(touches)))
         return contacts
@@ -214,6 +208,20 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
         for axis in range(1, live.ndim):
             live |= np.flip(live, axis) & free
     return live.reshape(flat)
+
+
+def are_disconnected(cells: Cells, across: Sequence[int]) -> Cells:
+    """Return, for each face, edge or corner between true ``cells``, whether common faces fail to connect the cells.
+
+    The axes ``across`` are normal to these faces, edges or corners; the result is one entry shorter along them.
+    """
+    # Bit i of `around` says whether cell i of the ``2**len(across)`` cells around is true.
+    around = np.zeros([n - (axis in across) for axis, n in enumerate(cells.shape)], np.uint16)
+    for bit, sides in enumerate(product((0, 1), repeat=len(across))):
+        side = dict(zip(across, sides, strict=True))  # of each axis across: 0 below, 1 above
+        part = tuple(slice(side.get(axis, 0), n - 1 + side.get(axis, 1)) for axis, n in enumerate(cells.shape))
+        around |= cells[part].astype(np.uint16) << np.uint16(bit)
+    return disconnected_sets(len(across))[around]
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:

@@ -8,32 +8,15 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, require_integer, set_fields, shortened
 from plr_jax._types import FAR_AWAY, ArrayLike, BoxTest, Reach
-from plr_jax.geometry.boundary import (
-    Boundary,
-    Region,
-    advice_on_cells,
-    as_bounds,
-    as_polygon,
-    as_polygons,
-    components_region,
-    grid_of,
-    grown_boundary,
-    merge_vertices,
-    polygons_of,
-    prepared_geometry,
-    region_after_change,
-    region_of,
-    rounding_of,
-    triangulate,
-)
+from plr_jax.geometry import boundary
+from plr_jax.geometry.boundary import Boundary, Region, as_bounds, grid_of, merge_vertices, prepared_geometry
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
 from plr_jax.geometry.vectors import cross_product
@@ -93,9 +76,9 @@ class Workspace:
         if region is not None:  # do not check the bounds, which may have become very slender by inflating
             bounds = Box.of(bounds)
         else:
-            bounds, obstacles = as_bounds(bounds), as_polygons("Obstacle", obstacles)
+            bounds, obstacles = as_bounds(bounds), boundary.as_polygons("Obstacle", obstacles)
             box, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *obstacles], 8 * grid_of(bounds))
-            region = region_of(shapely.difference(box, shapely.union_all(merged)), bounds)
+            region = boundary.region_of(shapely.difference(box, shapely.union_all(merged)), bounds)
         set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, boundary=region.boundary)
         self.__setstate__({"free_space": region.polygon, "_is_in_place": region.is_in_place})
 
@@ -117,7 +100,7 @@ class Workspace:
         the bounding box of the components. ``ValueError`` if there is no component, a component or the bounds are
         invalid, or nothing is free.
         """
-        return cls._from_free_space(*components_region(components, bounds), squeeze)
+        return cls._from_free_space(*boundary.components_region(components, bounds), squeeze)
 
     @classmethod
     def from_mask(
@@ -157,10 +140,11 @@ class Workspace:
     def _from_free_space(
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
     ) -> "Workspace":
-        blocked = np.array(polygons_of(shapely.difference(shapely.box(*bounds.lo, *bounds.hi), free)), object)
+        box = shapely.box(*bounds.lo, *bounds.hi)
+        blocked = np.array(boundary.polygons_of(shapely.difference(box, free)), object)
         # Drop slivers, whose area is less than half their perimeter times the grid spacing.
         blocked = blocked[shapely.area(blocked) > grid_of(bounds) / 2 * shapely.length(blocked)].tolist()
-        return cls(bounds, blocked, squeeze=squeeze, region=region_of(free, bounds, rounded))
+        return cls(bounds, blocked, squeeze=squeeze, region=boundary.region_of(free, bounds, rounded))
 
     @property
     def tolerance(self) -> float:
@@ -168,7 +152,7 @@ class Workspace:
 
         It is 1e-9 of the bounds' longer side, or 1e-12 of the largest coordinate if that is more.
         """
-        return 1e3 * rounding_of(self.bounds)
+        return 1e3 * boundary.rounding_of(self.bounds)
 
     @property
     def obstacle_vertices(self) -> Float[np.ndarray, "vertices 2"]:
@@ -210,7 +194,7 @@ class Workspace:
 
     @cached_property
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
-        return triangulate(self.free_space)
+        return boundary.triangulate(self.free_space)
 
     def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
         """Move points ``(..., 2)`` of 32-bit floats that lie outside free space only by rounding to its boundary.
@@ -349,7 +333,7 @@ class Workspace:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space in {self.bounds}; use a smaller radius.")
-        grown = grown_boundary(self.boundary, radius, as_bool("outside", outside))
+        grown = boundary.grown_boundary(self.boundary, radius, as_bool("outside", outside))
         free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
@@ -365,7 +349,7 @@ class Workspace:
         leave out, replaces a removed obstacle. ``ValueError`` if an added obstacle is invalid, an obstacle to remove
         does not exist (any more), or nothing is free.
         """
-        added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
+        added, gone = boundary.as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)
         if not self._is_in_place:  # vertices have moved by more than rounding, so obstacles may no longer fit
             return Workspace(self.bounds, obstacles, squeeze=self.squeeze)
@@ -382,7 +366,7 @@ class Workspace:
             free = shapely.union(free, shapely.difference(opened, covered))
         if added:
             free = shapely.difference(free, shapely.union_all(merged[len(merged) - len(added) :]))
-        region = region_after_change(free, self.bounds, self.boundary)
+        region = boundary.region_after_change(free, self.bounds, self.boundary)
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
@@ -392,7 +376,7 @@ class Workspace:
             raise ValueError(f"remove must be a list of obstacle numbers or polygons, got {shortened(remove)}.")
         for item in [remove] if isinstance(remove, BaseGeometry) else remove:
             if isinstance(item, BaseGeometry) or (isinstance(item, Iterable) and not isinstance(item, str)):
-                shape = as_polygon("Removed obstacle", item)
+                shape = boundary.as_polygon("Removed obstacle", item)
                 number = next((i for i, obstacle in enumerate(self.obstacles) if obstacle.equals(shape)), -1)
             else:
                 require_integer("Each number of an obstacle to remove", item, 0)
@@ -439,9 +423,7 @@ def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, " parts"]:
     """
     if not may_squeeze:
         return np.arange(len(parts))
-    pairs = shapely.STRtree(parts).query(parts, predicate="intersects")
-    graph = coo_array((np.ones(pairs.shape[1], bool), tuple(pairs)), (len(parts),) * 2)
-    return connected_components(graph, directed=False)[1]
+    return connected_groups(len(parts), shapely.STRtree(parts).query(parts, predicate="intersects"))
 
 
 def _meeting(polygons: Any) -> BoxTest:
@@ -452,4 +434,4 @@ def _meeting(polygons: Any) -> BoxTest:
 def require_workspace(workspace: object) -> None:
     if not isinstance(workspace, Workspace):
         got = f"an array of shape {workspace.shape}" if isinstance(workspace, np.ndarray) else shortened(workspace)
-        raise ValueError(f"workspace must be a Workspace, got {got}.{advice_on_cells(workspace)}")
+        raise ValueError(f"workspace must be a Workspace, got {got}.{boundary.advice_on_cells(workspace)}")

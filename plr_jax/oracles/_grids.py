@@ -16,7 +16,7 @@ from plr_jax._arrays import as_cells, as_finite_point, as_numbers, as_points, fi
 from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
-from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets, reach_of_cells
+from plr_jax.geometry.voxels import VoxelGrid, are_disconnected, reach_of_cells
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
 _DISTANCES = 2**22  # distances of cells in memory at a time (32 MiB)
@@ -403,9 +403,5 @@ class GridField:
             padded = padded.take(np.arange(-1, padded.shape[axis] + 1), axis, mode="wrap" if is_periodic else "clip")
         is_known, is_split = ~np.isnan(padded), None
         if padded.ndim > 1 and not is_known.all():
-            sets = np.zeros(np.array(padded.shape) - 1, np.intp)
-            for bit, corner in enumerate(product((0, 1), repeat=padded.ndim)):
-                around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, padded.shape, strict=True))
-                sets |= is_known[around].astype(np.intp) << bit
-            is_split = disconnected_sets(padded.ndim)[sets]
+            is_split = are_disconnected(is_known, range(padded.ndim))
         return padded, np.where(is_known, padded, 0.0), is_known.astype(float), is_split

@@ -19,10 +19,9 @@ from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import PickledWithoutCaches, parts, take_ragged
 from plr_jax._types import Distances
-from plr_jax.geometry.corners import CornerVisibility, triangles_at, views_by_triangle
+from plr_jax.geometry.corners import CornerVisibility, corners_by_triangle, triangles_at
 from plr_jax.geometry.graph import Graph
 from plr_jax.geometry.single_points import FEW, CornerSight, Place, PointLocator
-from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
 Points: TypeAlias = Float[np.ndarray, "n 2"]
@@ -106,13 +105,8 @@ class PairDistances(PickledWithoutCaches):
         The value is a pair ``(first, corner)``: triangle ``t`` has the corners ``corner[first[t] : first[t + 1]]``.
         One more list, after the list of the last triangle, holds all corners.
         """
-        # A path may turn at a corner only if it comes from a direction v for which `opens x v` and `closes x v`, with
-        # the directions of the corner's walls, are both at least 0 (from opens to -closes), or both at most 0.
-        triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
-        opens, closes = corners.walls
-        visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]
-        first, corner = views_by_triangle(triangulation, np.concatenate(visits, axis=1))
-        num_corners = len(corners.points)
+        first, corner = corners_by_triangle(self.visibility, self.workspace.triangulation)
+        num_corners = len(self.visibility.corners.points)
         return np.append(first, len(corner) + num_corners), np.append(corner, np.arange(num_corners))
 
     def __call__(self, x: Points, y: Points) -> Distances:
@@ -279,14 +273,10 @@ class PairDistances(PickledWithoutCaches):
         """
         # A point has the lists of all triangles that contain it. A point that is a vertex of triangles has the last
         # list, which holds all corners.
-        begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
-        points, first, triangle = triangles_at(mesh, mesh.place(x))  # without points that are vertices
-        num_runs, is_in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
-        num_runs[points], is_in_triangle[points] = np.diff(first), True
-        point = np.repeat(np.arange(len(x)), num_runs)
-        runs = np.full(len(point), len(begins) - 2)
-        runs[is_in_triangle[point]] = triangle
-        return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
+        mesh, begins = self.workspace.triangulation, self._lists_of_triangles[0]
+        first, runs = triangles_at(mesh, mesh.place(x))
+        num_before = np.append(0, np.cumsum(np.diff(begins)[runs]))  # corners in the lists before each list
+        return np.diff(num_before[first]), runs
 
 
 def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:

@@ -455,8 +455,7 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
     is eliminated later to the length of the edge.
     """
     # 1. A corner's parent is the neighbor eliminated next. Its depth is the number of ancestors above it.
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
+    place = np.argsort(order)  # inverts the permutation
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
     for corner in reversed(order):
         if uppers[corner]:
@@ -495,8 +494,7 @@ def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.nda
     # corners t lead over one of them:
     #   D(v, t) = min over neighbors u of w(v, u) + D(u, t).
     # Rows are in this order until the end, so that `distances[:n, :n]` is known before row n.
-    place = np.empty(len(order), np.int64)
-    place[order[::-1]] = np.arange(len(order))
+    place = np.argsort(order[::-1])  # inverts the permutation
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)
     for n, corner in enumerate(reversed(order)):
         progress.update()

@@ -5,6 +5,7 @@ import struct
 import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -14,18 +15,9 @@ from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shorte
 from plr_jax._compiled import broadcast_shape, is_on_one_host, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.pairs import grid_query
 from plr_jax.pairs.grid_corners import DIAGONAL, FAR, STRAIGHT, CornerTable
-from plr_jax.pairs.grid_query import (
-    BLOCK,
-    GROUP,
-    SLACK,
-    GridTables,
-    corners_from,
-    evaluate_few,
-    evaluate_pairs,
-    evaluate_to,
-    tables_of,
-)
+from plr_jax.pairs.grid_query import BLOCK, GROUP, SLACK, GridTables, corners_from, tables_of
 from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import GRID_MAGIC
@@ -88,25 +80,19 @@ class DistanceToCell:
     tables: GridTables
     goal: Int[Array, "2"]  # row and column of the cell
     from_goal: Int32[Array, " corners"]  # lengths of shortest paths to the corners of obstacles, in units
-
-    @property
-    def dim(self) -> int:
-        return 2
+    dim: ClassVar[int] = 2
+    is_lower_bound: ClassVar[bool] = True
 
     @property
     def domain(self) -> Box:
         return Box((0, 0), self.tables.shape[::-1])
-
-    @property
-    def is_lower_bound(self) -> bool:
-        return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Return distances ``(...)`` in steps from the cells of points ``(..., 2)`` to the goal cell.
 
         The result is bit for bit that of :class:`GridPairs`.
         """
-        return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
+        return grid_query.evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
 
 
 @pytree
@@ -139,10 +125,10 @@ class GridPairs:
         points = _as_points("x", x), _as_points("y", y)
         shape = broadcast_shape("x and y", *points)
         if is_on_one_host(*points, self.tables.blocks):  # NumPy answers few pairs without compiling
-            few = evaluate_few(self.tables, *(np.broadcast_to(np.asarray(p), shape) for p in points))
+            few = grid_query.evaluate_few(self.tables, *(np.broadcast_to(np.asarray(p), shape) for p in points))
             if few is not None:
                 return jax.numpy.asarray(few)
-        return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(p, shape) for p in points))
+        return grid_query.evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(p, shape) for p in points))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds, ``(...)`` each, of the lengths of shortest paths.

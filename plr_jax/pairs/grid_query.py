@@ -23,18 +23,8 @@ from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt32
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import part_by_part, pytree
-from plr_jax.pairs.grid_corners import (
-    FAR,
-    STRAIGHT,
-    CornerLabels,
-    CornerTable,
-    Grid,
-    corner_cells,
-    corner_distances,
-    looked_up,
-    open_length,
-    taut_corners,
-)
+from plr_jax.pairs import grid_corners
+from plr_jax.pairs.grid_corners import FAR, STRAIGHT, CornerLabels, CornerTable, Grid, looked_up, open_length
 
 # Tables of sums of an 8-connected grid, first of the grid, then of its transpose: two of slanted sums, of the grid
 # and its mirror image, and one of row sums.
@@ -202,7 +192,7 @@ class GridTables:
 
 def tables_of(free: Grid, connectivity: int) -> GridTables:
     """Build the tables of a grid that queries read."""
-    first, corners = taut_corners(free, connectivity)
+    first, corners = grid_corners.taut_corners(free, connectivity)
     # Pack the corners of each cell into blocks: the first block of cell i is
     # `group_block[i // GROUP] + cell_block[i]`, where small integers suffice for `cell_block`.
     counts = np.diff(first)
@@ -216,9 +206,10 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
         blocks[begin : begin + len(cell)] = corners[first[part][cell, None] + place]
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
-    row, column = (places.astype(np.int32) for places in np.nonzero(corner_cells(free)))
+    row, column = (places.astype(np.int32) for places in np.nonzero(grid_corners.corner_cells(free)))
     arrays = map(jnp.asarray, (group_block.astype(np.int32), _narrow(cell_block), blocks, row, column))
-    tables = GridTables(sight_of(free, connectivity), *arrays, distances=corner_distances(free, connectivity))
+    distances = grid_corners.corner_distances(free, connectivity)
+    tables = GridTables(sight_of(free, connectivity), *arrays, distances=distances)
     # Queries also read empty tables, and ignore the value: give empty tables one entry.
     return jax.tree_util.tree_map(
         lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from plr_jax._arrays import padded, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
+from plr_jax.pairs.portable import crossings
 
 # Near walls.
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
@@ -119,17 +120,9 @@ class NearWalls:
         # obstacle crosses one wall into it and one wall out of it. A single crossing is due to rounding, or to a thin
         # obstacle (see `is_hidden` in `query.py`).
         along = jnp.arange(most, dtype=jnp.uint32)[None]
-        ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
-        (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
-        ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
-        # p and q are on two sides of the line a-b if e x (p - a) and e x (q - a) have two signs; a and b are on two
-        # sides of the line p-q if one of them is to its left. `crossed` is -1 for a wall crossed into an obstacle (b
-        # is left), 1 for a wall crossed out of an obstacle (a is left), else 0.
-        side_of_p, side_of_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
-        a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
-        crossed = jnp.where(side_of_p * side_of_q < 0, a_is_left.astype(jnp.float32) - b_is_left, 0)
-        crossed = jax.lax.optimization_barrier(crossed)
-        return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
+        walls = tuple(row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
+        inward, outward = crossings(x.T[:, :, None], corner.T[:, :, None], walls)
+        return inward.any(axis=1) & outward.any(axis=1)
 
 
 def updated(

@@ -180,10 +180,9 @@ class NumpyPairs:
         self._lists[ragged_indices(lengths)] = stored.listed
         self._distances = distances_table(stored, corners + 1)
         # 3. Walls and corners, moved in three ways, and what both bounds leave for errors.
-        self._obstacles, self._upper_obstacles = (
-            MovedObstacles.of(stored, is_certain) for is_certain in (False, True)
-        )
-        self._lower_obstacles = MovedObstacles.of(stored, False, for_lower_bounds=True)
+        self._obstacles = MovedObstacles.of(stored, is_certain=False)
+        self._upper_obstacles = MovedObstacles.of(stored, is_certain=True)
+        self._lower_obstacles = MovedObstacles.of(stored, is_certain=False, for_lower_bounds=True)
         point_error = float(point_rounding(domain.width / 2, np.abs(middle)).max())
         self._lower_error, self._upper_error = (
             np.float32(stored.rounding + 2 * obstacles.moved + point_error)

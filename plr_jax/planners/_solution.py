@@ -250,13 +250,9 @@ def _stats_from_json(entry: Any) -> Stats:
         require_integer(f'"{name}"', entry[name], 0)
     seconds, history, found_by = entry["seconds"], entry["history"], entry["found_by"]
     are_pairs = isinstance(history, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in history)
-    for name, fine, expected in (
-        ("seconds", isinstance(seconds, dict), "an object"),
-        ("found_by", isinstance(found_by, str), "a string"),
-        ("history", are_pairs, "a list of pairs [seconds, cost]"),
-    ):
-        if not fine:
-            raise ValueError(f'expected "{name}" to be {expected}, got {shortened(entry[name])}.')
+    if not isinstance(seconds, dict) or not isinstance(found_by, str) or not are_pairs:
+        expected = '"seconds" to be an object, "found_by" a string, and "history" a list of pairs [seconds, cost]'
+        raise ValueError(f"expected {expected}, got {shortened(entry)}.")
     seconds = {phase: as_finite(f'"seconds" of "{phase}"', value) for phase, value in seconds.items()}
     history = tuple((as_finite("seconds", pair[0]), as_finite("a cost", pair[1])) for pair in history)
     return Stats(**{name: entry[name] for name in _COUNTS}, seconds=seconds, history=history, found_by=found_by)

@@ -153,11 +153,14 @@ class CellGrid(NamedTuple):
         modes = ("clip", "clip", "wrap")[: len(self.shape)]
         cells = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape, mode=modes))
         is_shared = cells[0] == cells[1]
-        # 2. Extend the grid, so that each of these cells has a representative, and a primitive connects a start and a
-        #    goal in one cell.
+        # 2. Extend the grid, so that each of these cells has a representative. If a start and a goal are in one cell,
+        #    add the primitive that connects them: it has no offset, and is blocked between representatives.
         grid = self._with_representatives(cells.ravel(), poses.reshape(cells.size, -1))
         if (is_distinct & is_shared).any():
-            grid = grid._with_primitive_within_cells()
+            offsets = np.append(grid.offsets, np.zeros_like(grid.offsets[:1]), axis=0)
+            child = np.append(grid.child, np.arange(len(grid.q))[:, None], axis=1)
+            cost = np.append(grid.cost, np.full((len(grid.q), 1), np.inf), axis=1)
+            grid = grid._replace(offsets=offsets, child=child, cost=cost)
         # 3. Number the nodes: representatives, then starts, then goals. The node of cell c is `nodes[c]`.
         nodes = np.cumsum(grid.free) - 1
         own_nodes = int(grid.free.sum()) + np.arange(cells.size).reshape(cells.shape)
@@ -205,14 +208,6 @@ class CellGrid(NamedTuple):
         around, is_possible = grid.neighbors(new, np.concatenate([self.offsets, -self.offsets]))
         grid.connect(np.union1d(new, around[is_possible]))
         return grid
-
-    def _with_primitive_within_cells(self) -> "CellGrid":
-        """Return the grid with another primitive of no offset, which is blocked between representatives."""
-        return self._replace(
-            offsets=np.append(self.offsets, np.zeros_like(self.offsets[:1]), axis=0),
-            child=np.append(self.child, np.arange(len(self.q))[:, None], axis=1),
-            cost=np.append(self.cost, np.full((len(self.q), 1), np.inf), axis=1),
-        )
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:

@@ -1,12 +1,26 @@
 """Lattice searches: what the planner needs of a search, which searches there are, and how they take turns.
 
-:class:`BLOptions`, the options of the planner, has the names of the searches that shall run.
+:class:`BLOptions`, the options of the planner, has the names of the searches that shall run. A search is an object
+that looks for a path of the whole team along its lattices, and can pause and continue. Its class has these members:
+
+- ``(joint, estimates, weight, budget)``, the constructor: ``estimates`` has, for each robot, the estimated cost-to-go
+  at each node of its lattice; ``weight`` is the factor of the estimates. It raises ``TimeoutError`` if time is up.
+- ``run(length, progress)`` searches for a turn of about this length, with a progress bar. It returns SOLVED at the
+  goals, EXHAUSTED if nothing is left to try, the limit that was reached, or None if another turn can continue the
+  search. It raises ``TimeoutError`` if time is up meanwhile.
+- ``first_turn``: the length of the first turn, in a unit of the search's choice.
+- ``is_weighted``: whether another weight changes the search.
+- ``is_complete``: whether the search, once exhausted, has tried everything.
+- ``memory_use``: the :class:`MemoryUse` of the search.
+- ``num_bytes_needed(joint)``, a static method: the bytes that must be free when the search begins.
+- ``solution_states``: the joint states of the path that was found, from the starts on.
+- ``node_states``: the joint states of all nodes, in the order of creation.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -17,46 +31,14 @@ from plr_jax._types import HeuristicFn
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.best_first import BestFirstSearch, tabulate
 from plr_jax.planners.lacam import LaCAM
-from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, Table, num_configurations, robot_kinds
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations, robot_kinds
 
 _TURN_GROWTH = 1.5  # ratio of the lengths of consecutive turns
 # Memory:
 _MOTION_BYTES = 92  # bytes of a motion while its table is built
 _COLUMN_BYTES = 16  # bytes of costs-to-go and costs-to-come, per robot and node
 _TERM_BYTES = 8  # bytes of a term of the heuristic; given heuristics are stored twice
-
-
-class LatticeSearch(Protocol):
-    """A search for a path of the whole team along its lattices, which can pause and continue.
-
-    ``estimates`` has, for each robot, the estimated cost-to-go at each node of its lattice. ``weight`` is the factor
-    of the estimates. The constructor, like ``run``, raises ``TimeoutError`` if time is up meanwhile.
-    """
-
-    is_weighted: bool  # whether another weight changes the search
-    is_complete: bool  # whether the search, once exhausted, has tried everything
-    memory_use: MemoryUse  # the bytes that the search holds
-    first_turn: float  # length of the first turn, in a unit of the search's choice
-
-    def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget): ...
-
-    @staticmethod
-    def num_bytes_needed(joint: JointLattice) -> int: ...  # the bytes that must be free when the search begins
-
-    def run(self, length: int, progress: tqdm | None, /) -> Status | None:
-        """Search for a turn of about this length.
-
-        Return SOLVED at the goals, EXHAUSTED if nothing is left to try, the limit that was reached, or None if
-        another turn can continue the search.
-        """
-        ...
-
-    @property
-    def solution_states(self) -> State: ...  # the joint states of the path that was found, from the starts on
-    @property
-    def node_states(self) -> State: ...  # the joint states of all nodes, in the order of creation
-
-
+LatticeSearch: TypeAlias = LaCAM | BestFirstSearch
 # Searches by name, in the order of their turns:
 SEARCHES: dict[str, type[LatticeSearch]] = {"lacam": LaCAM, "bl": BestFirstSearch}
 

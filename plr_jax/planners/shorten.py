@@ -158,26 +158,14 @@ def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Gro
     the caller may move the group's robots in the group's rows of ``path``, in place. Later pairs are found on the
     changed path.
     """
+    size = [robot.circumscribed_radius for robot in problem.robots]
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
-        # Pairs (i, j), j < i: look for the next column j of `touch` with an entry.
-        touch = _touching(problem, path, i, width)
-        j = -1
-        while touch[:, j + 1 :].any():
-            j += 1 + int(touch[:, j + 1 :].any(axis=0).argmax())
-            rows = np.flatnonzero(touch[:, j])
-            before = path[:, i].copy()
-            yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
-            # Changed by the caller. (If only robot j has moved, `touch` changes in column j alone, not read again.)
-            if (path[:, i] != before).any():
-                touch = _touching(problem, path, i, width)
-
-
-def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
-    # Others are the robots with a smaller index.
-    size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
-    offset = path[:, :i, :2] - path[:, i, None, :2]
-    return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
+        for j in range(i):
+            x, y = (path[:, j, :2] - path[:, i, :2]).T
+            rows = np.flatnonzero(np.hypot(x, y) < size[i] + size[j] + _REACH * width)
+            if len(rows):
+                yield (i, j), slice(max(int(rows[0]) - _MARGIN, 0), min(int(rows[-1]) + _MARGIN + 1, len(path)))
 
 
 def _shortened_in_corridors(
@@ -215,8 +203,7 @@ def _shortened_in_corridors(
         # As for shortcuts, no new motion begins or ends at a contact of walls: the present motions fix the side.
         at_contact = test.wall_tests[i].is_at_contact(corridor)
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
-        near_wall = free & ~test.wall_tests[i].has_room(*region)[row]
-        free[near_wall] = test.wall_tests[i](begin[near_wall], end[near_wall], test.deadline)
+        free[free] = test.wall_tests[i](begin[free], end[free], test.deadline)
         # Test all motions of a row against each robot that is near in this row (`near_row`).
         near_row, j = trajectory.robots_near(i, region, first_row, robots)
         first_motion = np.searchsorted(row, np.arange(len(first_row) + 1))  # of each row

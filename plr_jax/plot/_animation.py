@@ -17,23 +17,9 @@ from plr_jax._arrays import as_finite, as_number
 from plr_jax._files import file_path, write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
+from plr_jax.plot import _paths
 from plr_jax.plot._axes import new_axes
 from plr_jax.plot._page import BORDER, PLAY, asset, html_document, in_iframe, obstacles_path, pixel_scale, pixels
-from plr_jax.plot._paths import (
-    Timeline,
-    add_body,
-    add_goal,
-    add_number,
-    body_outline,
-    color_of,
-    drawn_rounding,
-    front_sides,
-    heading_bar,
-    ink_on,
-    number_size,
-    outline,
-    timeline,
-)
 from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots import placed
 
@@ -43,7 +29,7 @@ HOLD = 1.2  # seconds of pause at the end before the animation repeats
 _SMALLEST_NUMBERED = 10.0  # pixels across the smallest body whose number is drawn inside
 
 
-def player(problem: Problem, motion: Timeline, seconds: float) -> str:
+def player(problem: Problem, motion: _paths.Timeline, seconds: float) -> str:
     """Return the HTML of a web page that plays a path; one playback takes ``seconds``."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = _svg(problem, motion) + "\n" + asset("player.html").replace("{{play}}", PLAY).rstrip()
@@ -51,7 +37,7 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
     return html_document(f"Path of {len(problem.robots)} robots", asset("player.css"), body, script)
 
 
-def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
+def _motion(problem: Problem, motion: _paths.Timeline, seconds: float) -> dict[str, object]:
     """Return the robots' motion as data for ``player.js``; rounding moves positions by at most 1/20 of a pixel.
 
     ``seconds`` is the duration of one playback.
@@ -74,7 +60,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     }
 
 
-def _svg(problem: Problem, motion: Timeline) -> str:
+def _svg(problem: Problem, motion: _paths.Timeline) -> str:
     """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for ``player.js`` to move."""
     bounds = problem.workspace.bounds
     scale = pixel_scale(bounds)
@@ -83,29 +69,29 @@ def _svg(problem: Problem, motion: Timeline) -> str:
     border = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
     tracks, goals, trails, bodies = [], [], [], []
     for i, (robot, goal) in enumerate(zip(problem.robots, problem.goals, strict=True)):
-        color = color_of(i)
+        color = _paths.color_of(i)
         line = f'stroke="{color}" style="--color:{color}"'  # lines get lighter on dark pages
         # 1. Draw the whole track as a thin line, and the trail, which grows with time.
         points = f'points="{pixels(bounds, motion.configurations[:, i, :2])}"'
         tracks.append(f'<polyline class="track" {line} {points}/>')
         trails.append(f'<polyline class="trail" id="trail{i}" stroke-dasharray="0 1" {line} {points}/>')
         # 2. Draw the goal as a dashed outline with a solid front.
-        points = pixels(bounds, outline(robot, goal, bounds))
+        points = pixels(bounds, _paths.outline(robot, goal, bounds))
         goals.append(f'<polygon class="halo" points="{points}"/><polygon class="goal" {line} points="{points}"/>')
         if robot.dof == 3:
-            front = pixels(bounds, placed(robot, front_sides(robot, bounds), goal))
+            front = pixels(bounds, placed(robot, _paths.front_sides(robot, bounds), goal))
             goals[-1] += f'<polyline class="front" {line} points="{front}"/>'
         # 3. Draw the body around the origin, to be rotated, and its number, which stays upright.
-        radius = scale * drawn_rounding(robot, bounds)
+        radius = scale * _paths.drawn_rounding(robot, bounds)
         if robot.core.any():
-            points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * body_outline(robot, bounds))
+            points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in scale * _paths.body_outline(robot, bounds))
             body = f'<polygon class="body" points="{points}" fill="{color}"/>'
         else:
             body = f'<circle class="body" r="{radius:.2f}" fill="{color}"/>'
         if robot.dof == 3:
-            (x, y0), (_, y1) = scale * heading_bar(robot, bounds)
-            body += f'<path class="nose" stroke="{ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
-        number = f'<text y="4" fill="{ink_on(color)}">{i}</text>'
+            (x, y0), (_, y1) = scale * _paths.heading_bar(robot, bounds)
+            body += f'<path class="nose" stroke="{_paths.ink_on(color)}" d="M{x:.2f} {-y0:.2f}V{-y1:.2f}"/>'
+        number = f'<text y="4" fill="{_paths.ink_on(color)}">{i}</text>'
         if 2 * robot.inscribed_radius * scale < _SMALLEST_NUMBERED:
             beside = scale * robot.circumscribed_radius or radius  # upper right of the body; a point robot is a disc
             place = f'x="{beside + 6:.2f}" y="{-beside:.2f}"'
@@ -129,7 +115,7 @@ class Animation:
     """An animation of a path, made by :func:`animate`. Notebooks play it, and :meth:`save` writes it to a file."""
 
     problem: Problem
-    motion: Timeline
+    motion: _paths.Timeline
     seconds: float
     frames_per_second: float
 
@@ -171,7 +157,7 @@ def animate(
     as_finite("seconds", seconds, positive=True)
     expected = f"above 0 and at most {_LARGEST_RATE:g}"
     as_number("frames_per_second", frames_per_second, expected, lambda rate: 0 < rate <= _LARGEST_RATE)
-    motion = timeline(problem, path)
+    motion = _paths.timeline(problem, path)
     if motion.duration == 0:
         raise ValueError(f"path must move a robot to be animated, got {len(np.asarray(path))} step(s) at rest.")
     return Animation(problem, motion, float(seconds), float(frames_per_second))
@@ -206,8 +192,8 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
     plot_workspace(problem.workspace, ax)
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for i in range(len(problem.robots)):
-        ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
-        add_goal(ax, problem, i, zorder=_GOAL)
+        ax.plot(*motion.configurations[:, i, :2].T, color=_paths.color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
+        _paths.add_goal(ax, problem, i, zorder=_GOAL)
     figure = ax.figure.canvas.figure
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -226,8 +212,8 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
 def _add_robot(ax: Axes, problem: Problem, i: int, so_far: Float[np.ndarray, "steps dof"]) -> list[Artist]:
     """Add robot ``i`` at the end of its path so far, with a trail along the path, and its number if there is room."""
     q = so_far[-1]
-    trail = ax.plot(*so_far[:, :2].T, color=color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
-    artists = [*trail, *add_body(ax, problem, i, q)]
-    if 2 * problem.robots[i].inscribed_radius >= 0.75 * number_size(ax, i):
-        artists.append(add_number(ax, i, q[:2], ink_on(color_of(i))))
+    trail = ax.plot(*so_far[:, :2].T, color=_paths.color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
+    artists = [*trail, *_paths.add_body(ax, problem, i, q)]
+    if 2 * problem.robots[i].inscribed_radius >= 0.75 * _paths.number_size(ax, i):
+        artists.append(_paths.add_number(ax, i, q[:2], _paths.ink_on(_paths.color_of(i))))
     return artists

@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -22,18 +22,7 @@ from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import polygons_of, triangulate
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.workspace import Workspace, joined_parts
-from plr_jax.plot._axes import (
-    DISTANCE,
-    DISTANCE_COLORS,
-    FONT_SIZE,
-    INK,
-    WORKSPACE_UNITS,
-    FunctionsOfLeaves,
-    add_colorbar,
-    new_axes_3d,
-    prepare_axes,
-    style_colorbar,
-)
+from plr_jax.plot import _axes
 from plr_jax.spaces import FreeTest
 
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
@@ -45,12 +34,12 @@ _ERROR_RANGE = 1e-3  # smallest error of the color scale, as a share of the larg
 
 
 def plot_surface(
-    plr: FunctionsOfLeaves,
+    plr: _axes.FunctionsOfLeaves,
     ax: Axes3D | None = None,
     *,
     workspace: Workspace | None = None,
-    label: str = DISTANCE,
-    unit: str = WORKSPACE_UNITS,
+    label: str = _axes.DISTANCE,
+    unit: str = _axes.WORKSPACE_UNITS,
 ) -> Axes3D:
     """Draw a 2-D PLR as a surface of separate polygons, one per leaf, as in Fig. 1 of the paper.
 
@@ -64,13 +53,13 @@ def plot_surface(
         raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
     # 1. A polygon has the color of its mean height.
     heights = np.array([piece[:, 2].mean() for piece in pieces])
-    colors = ScalarMappable(Normalize(0.0, heights.max()), DISTANCE_COLORS)
+    colors = ScalarMappable(Normalize(0.0, heights.max()), _axes.DISTANCE_COLORS)
     if ax is None:
-        ax = new_axes_3d(plr.domain, f"{label} ({unit})")
+        ax = _axes.new_axes_3d(plr.domain, f"{label} ({unit})")
         bar = ax.figure.colorbar(colors, cax=ax.figure.add_axes((0.86, 0.2, 0.025, 0.6)))
     else:
         bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
-    style_colorbar(bar, f"{label} ({unit})")
+    _axes.style_colorbar(bar, f"{label} ({unit})")
     # 2. The more lines, the paler they are, so that they do not blacken the surface.
     lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
     surface = Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
@@ -80,7 +69,7 @@ def plot_surface(
     return ax
 
 
-def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
+def _pieces(plr: _axes.FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
     """Return a PLR's surface as polygons in space, ``(corners, 3)``: cells, raised to the values of their leaves.
 
     With a workspace, the polygons are the free parts of cells. Polygons with a value that is not finite are left out.
@@ -109,12 +98,12 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     return solid
 
 
-def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = WORKSPACE_UNITS) -> Axes:
+def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = _axes.WORKSPACE_UNITS) -> Axes:
     """Draw the obstacles and bounds of a workspace, on new axes by default, with the unit of length on the axes.
 
     The axes are Matplotlib's: ``ax.plot(*path.T)`` draws a path of points ``(m, 2)``.
     """
-    ax = prepare_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
+    ax = _axes.prepare_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
     ax.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     _add_obstacles(workspace, ax)
     return ax
@@ -122,7 +111,7 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = 
 
 def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
     for polygon in blocked_polygons(workspace):
-        ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=INK, linewidth=0.7, zorder=3))
+        ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=_axes.INK, linewidth=0.7, zorder=3))
 
 
 def blocked_polygons(workspace: Workspace) -> tuple[shapely.Polygon, ...]:
@@ -138,8 +127,8 @@ def plot_contours(
     space: FreeTest | None = None,
     goal: ArrayLike | None = None,
     at: Mapping[int, float | int] | None = None,
-    label: str = DISTANCE,
-    unit: str = WORKSPACE_UNITS,
+    label: str = _axes.DISTANCE,
+    unit: str = _axes.WORKSPACE_UNITS,
     resolution: int = 800,
 ) -> Axes:
     """Draw a distance function, or another cost-to-go, as colors with contour lines.
@@ -164,28 +153,35 @@ def plot_contours(
     """
     shown = Slice.of(plr.domain, at)
     _require_drawable(shown, workspace, space)
-    ax = prepare_axes(ax, shown)
+    ax = _axes.prepare_axes(ax, shown)
     # 1. Evaluate a grid of points.
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
-    is_free = _free_points(points, shown, workspace, space)
+    is_free = np.ones(points.shape[:2], bool)
+    if workspace is not None:
+        is_free = workspace.is_free(points[..., :2].reshape(-1, 2)).reshape(is_free.shape)
+    elif space is not None:
+        is_free = space.is_free(points.reshape(-1, shown.domain.dim)).reshape(is_free.shape)
     # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
     goals: Any = None
-    cut_off = []
+    cut_off: Any = []
     if goal is not None:
         given = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
         goals = plr.domain.wrapped(np.reshape(given, (-1, plr.domain.dim)))[:, list(shown.axes)]
         if workspace is not None:
-            reached, cut_off = _split_by_reachability(workspace, goals)
-            if cut_off:
-                is_free &= shapely.intersects_xy(shapely.MultiPolygon(reached), points[..., 0], points[..., 1])
+            parts = shapely.get_parts(workspace.free_space)
+            is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
+            if is_reached.any() and not is_reached.all():  # if no goal is in free space, nothing is cut off
+                cut_off = parts[~is_reached]
+                reached = shapely.MultiPolygon(list(parts[is_reached]))
+                is_free &= shapely.intersects_xy(reached, points[..., 0], points[..., 1])
     # 3. Draw values. Those inside obstacles are covered later, so that colors reach the walls; they do not affect the
     #    color scale.
     free_values = values[is_free]
     if not free_values.count():
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
     largest = float(free_values.max())
-    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
+    image = _add_image(ax, shown.box, values, _axes.DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1  # Matplotlib draws contours only of two rows and two columns or more
     if has_lines and largest > 0:
@@ -196,14 +192,14 @@ def plot_contours(
         gray = np.ma.masked_where(is_free, np.ones(is_free.shape))
         _add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), Normalize(0.0, 1.0)).set_zorder(3)
         if has_lines:
-            ax.contour(x, y, ~is_free, levels=[0.5], colors=INK, linewidths=0.6, zorder=3.5)
+            ax.contour(x, y, ~is_free, levels=[0.5], colors=_axes.INK, linewidths=0.6, zorder=3.5)
     if workspace is not None:
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
     if goals is not None:
-        ax.plot(*goals.T, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
-    add_colorbar(ax, image, f"{label} ({unit})")
+        ax.plot(*goals.T, "*", ms=11, mfc="white", mec=_axes.INK, mew=0.8, zorder=5, clip_on=False)
+    _axes.add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 
 
@@ -218,7 +214,7 @@ def plot_cells(
     """Draw the boxes of a PLR's leaves as rectangles; arguments and errors are as for :func:`plot_contours`."""
     shown = Slice.of(plr.domain, at)
     _require_drawable(shown, workspace, None)
-    ax = prepare_axes(ax, shown, room_for_colorbar=False)
+    ax = _axes.prepare_axes(ax, shown, room_for_colorbar=False)
     cells = _cells_of(plr, shown)
     closed = np.concatenate([cells, cells[:, :1]], axis=1)
     ax.add_collection(LineCollection(list(closed), colors=color, linewidths=0.4, alpha=0.7, zorder=2.5))
@@ -233,7 +229,7 @@ def plot_error(
     ax: Axes | None = None,
     *,
     at: Mapping[int, float | int] | None = None,
-    unit: str = WORKSPACE_UNITS,
+    unit: str = _axes.WORKSPACE_UNITS,
     largest: float | None = None,
 ) -> Axes:
     """Draw errors ``|L - V|`` of an approximation ``L`` of distances ``V`` in free space, as in Fig. 2 of the paper.
@@ -255,7 +251,7 @@ def plot_error(
     if finite.size == 0:
         raise ValueError("There is nothing to draw: no error is finite.")
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
-    ax = prepare_axes(ax, shown)
+    ax = _axes.prepare_axes(ax, shown)
     # 1. Draw finite errors; errors below the logarithmic scale, such as 0, have its lowest color.
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
     smallest = _ERROR_RANGE * (largest or 1.0)  # 1.0: any scale will do if nearly all errors are 0
@@ -269,8 +265,8 @@ def plot_error(
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
     clipped = "both" if finite.max() > largest else "min"
-    add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend=clipped)
-    ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=FONT_SIZE, color=INK)
+    _axes.add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend=clipped)
+    ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=_axes.FONT_SIZE, color=_axes.INK)
     return ax
 
 
@@ -282,28 +278,6 @@ def _require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest
         raise ValueError("Expected either a workspace or a space, got both: leave one out.")
     if space is not None and space.domain.dim != shown.domain.dim:
         raise ValueError(f"Expected a space of {shown.domain.dim} dimensions, got {space.domain.dim}.")
-
-
-def _free_points(
-    points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
-) -> Bool[np.ndarray, "rows columns"]:
-    """Return which points of a slice are free in the workspace or the space; all are free if neither is given."""
-    flat = points.reshape(-1, shown.domain.dim)
-    if workspace is not None:
-        return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])
-    return np.ones(points.shape[:2], bool) if space is None else space.is_free(flat).reshape(points.shape[:2])
-
-
-def _split_by_reachability(
-    workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
-) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into the polygons from which a goal can be reached, and the other polygons.
-
-    If no goal is in free space, all polygons count as reached.
-    """
-    parts = shapely.get_parts(workspace.free_space)
-    is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
-    return (list(parts[is_reached]), list(parts[~is_reached])) if is_reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "cells 4 2"]:

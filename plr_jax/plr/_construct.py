@@ -14,6 +14,7 @@ from tqdm import tqdm
 from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
 from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points, Reach
 from plr_jax.geometry.box import Box
+from plr_jax.plr import sampling
 from plr_jax.plr._file import DecodedFile, certificate_of, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
@@ -23,18 +24,7 @@ from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRu
 from plr_jax.plr.leaves import Cone, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
 from plr_jax.plr.portable.numpy import NumpyPLR
-from plr_jax.plr.sampling import (
-    FitRule,
-    ParallelOracle,
-    Sampler,
-    WeightFn,
-    call_oracle,
-    few_samples,
-    folded_weights,
-    least_squares,
-    reach_of,
-    sample_pattern,
-)
+from plr_jax.plr.sampling import FitRule, Sampler, WeightFn, least_squares
 from plr_jax.plr.source_cache import SourceCache
 from plr_jax.plr.tree import Cells, grown_domain
 
@@ -190,7 +180,7 @@ def construct(
     if not isinstance(options, BuildOptions):
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
     limits = max_depth, max_leaves, max_bytes, tolerance
-    reach = reach_of(distance_fn, domain)
+    reach = sampling.reach_of(distance_fn, domain)
 
     build = partial(_build_leaves, distance_fn, domain, limits, reach, proof, seed, options)
     if leaf == "best":
@@ -248,19 +238,19 @@ def _build_leaves(
         cache = SourceCache(domain, cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
     if options.executor is not None:
-        distance_fn = ParallelOracle(distance_fn, options.executor)
+        distance_fn = sampling.ParallelOracle(distance_fn, options.executor)
     if folding is not None:
-        domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
+        domain, weight_fn = folding.box, partial(sampling.folded_weights, weight_fn, folding)
         distance_fn = partial(_folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
     rule = options.compute_coefficients
     for factor in _SAMPLE_FACTORS:  # more samples if hardly one reaches the goal
         counts = (min(k * int(num_samples), _MAX_SAMPLES) for k in (factor, max(factor, _DENSE_FACTOR)))
-        pattern, dense = (sample_pattern(domain.dim, k, float(options.margin), int(seed)) for k in counts)
+        pattern, dense = (sampling.sample_pattern(domain.dim, k, float(options.margin), int(seed)) for k in counts)
         sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, cache, reach)
         seen = sampler(Cells.root(domain.dim)).reachable
-        if reach is not None or seen.sum() > few_samples(domain.dim):
+        if reach is not None or seen.sum() > sampling.few_samples(domain.dim):
             break
     sampler = replace(sampler, is_sparse=bool(seen.mean() < _SPARSE))
     tree, stored, visible = model.construct(sampler, Rules(options.should_split, options.split), checked)
@@ -279,7 +269,7 @@ def _build_leaves(
 
 
 def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
-    return call_oracle(distance_fn, folding.unfold(z))
+    return sampling.call_oracle(distance_fn, folding.unfold(z))
 
 
 def proof_of(certified: bool | str) -> Proof:

@@ -2,10 +2,10 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.sampling import reach_of
+from plr_jax.plr.sampling import reach_of, run_tasks
 
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that an interrupt keeps what is finished
 
@@ -160,36 +160,16 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
     chunks. ``progress`` counts the results. Return the finished results by index, and whether an interrupt (Ctrl-C)
     stopped the computation.
     """
-    results: dict[int, bytes] = {}
+    done: dict[int, list[bytes]] = {}  # results of finished chunks
+    is_interrupted = False
     threads = ThreadPoolExecutor(num_cores())
     try:
-        if executor is not None:
-            _build_by(executor, chunks, results, progress)
-        # A chunk has all of its results or none.
-        missing = [chunk for chunk in chunks if chunk.indices[0] not in results]
-        _build_by(threads, missing, results, progress)
+        for pool in (threads,) if executor is None else (executor, threads):
+            missing = {number: chunk.compute for number, chunk in enumerate(chunks) if number not in done}
+            run_tasks(pool, missing, done, progress)
     except KeyboardInterrupt:
-        return results, True
+        is_interrupted = True
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
-    return results, False
-
-
-def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], progress: tqdm) -> None:
-    """Compute chunks on the workers of a pool, and add the results of finished chunks to ``results`` by index.
-
-    If workers die or an interrupt (Ctrl-C) stops the computation, the results of some chunks stay missing.
-    """
-    futures: dict[Future[list[bytes]], list[int]] = {}
-    try:
-        with suppress(BrokenExecutor):
-            for chunk in chunks:
-                futures[pool.submit(chunk.compute)] = chunk.indices
-        for future in as_completed(futures):
-            with suppress(BrokenExecutor):
-                results.update(zip(futures[future], future.result(), strict=True))
-                progress.update(len(futures[future]))
-    finally:  # after an interrupt or an error, keep also what is finished, but not collected yet
-        for future, indices in futures.items():
-            if not future.cancel() and future.done() and future.exception() is None:
-                results.update(zip(indices, future.result(), strict=True))
+    pairs = (zip(chunks[number].indices, results, strict=True) for number, results in done.items())
+    return dict(chain.from_iterable(pairs)), is_interrupted

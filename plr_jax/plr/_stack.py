@@ -29,24 +29,10 @@ from plr_jax._arrays import as_queries, hash64, is_traced, padded, size_in_eight
 from plr_jax._compiled import pytree
 from plr_jax._types import ArrayLike
 from plr_jax.plr._plr import PLR, LowerBound, as_plrs
-from plr_jax.plr.frame import (
-    FRACTION_BITS,
-    Outside,
-    PerAxis,
-    as_outside,
-    enumerate_boxes,
-    in_parts,
-    is_far,
-    leaves_in_blocks,
-    num_pairs,
-    require_resolved,
-    row_major,
-    spread_bits,
-    unresolved_types,
-)
+from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, in_parts, is_far, require_resolved, unresolved_types
 from plr_jax.plr.query import bounds_of_tables, evaluate_tables
 from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.tree import Cells, PerAxis, enumerate_boxes, leaves_in_blocks, num_pairs, row_major, spread_bits
 
 _FIRST_BITS = 10  # index bits of first pages: those of 1,000 PLRs take 4 MB, and most points need no other page
 _PAGE_BITS = 6  # most index bits of other pages

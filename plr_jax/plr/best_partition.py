@@ -333,19 +333,13 @@ class PriceSearch:
         """Return the tree of known boxes with the least sum of leaves' costs and prices."""
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
-        #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.
-        choices, below = [], np.zeros(0)
+        #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win. Unknown halves (-1) cost inf.
+        choices, below = [], np.full(1, np.inf)
         for level in reversed(self.levels):
-            total = level.costs(weight) + price
-            choice = np.full(len(total), -1)
-            for axis, (lower, upper) in enumerate(level.child):
-                halved = np.flatnonzero(lower >= 0)
-                split_cost = below[lower[halved]] + below[upper[halved]]
-                is_cheaper = split_cost < total[halved]
-                total[halved[is_cheaper]] = split_cost[is_cheaper]
-                choice[halved[is_cheaper]] = axis
-            below = total
-            choices.append(choice)
+            halved = (below[lower] + below[upper] for lower, upper in level.child)
+            options = np.stack([level.costs(weight) + price, *halved])
+            choices.append(options.argmin(axis=0) - 1)
+            below = np.append(options.min(axis=0), np.inf)
         # 2. Downward from the root, collect the tree's nodes and leaves.
         leaves, walked, nodes = [], [], np.zeros(1, np.int64)
         for level, choice in zip(self.levels, reversed(choices), strict=True):

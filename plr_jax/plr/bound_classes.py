@@ -72,23 +72,24 @@ def classify_bounds(
 
 
 def requantize_bounds(
-    codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
+    codes: Codes, shared: Integer[np.ndarray, "2 _"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds to the narrowest pair of bounds in ``classes`` that contains the leaf's bounds.
+    """Widen each leaf's bounds to the narrowest pair of bounds in ``shared`` that contains the leaf's bounds.
 
-    Each column of ``classes`` has the codes of a pair. ``codes`` and ``bound_of_code`` are as for
+    Each column of ``shared`` has the codes of a pair; pairs may repeat. ``codes`` and ``bound_of_code`` are as for
     :func:`classify_bounds`. Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the
     result takes more than ``max_bits`` bits in a file.
     """
+    classes = shared[:, np.unique(_class_keys(shared), return_index=True)[1]]
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)  # (classes, leaves)
-    shared = classes[:, holds.argmax(axis=0)]  # the first class that holds, which is the narrowest
-    return shared if holds.any(axis=0).all() and _fits(shared, max_bits) else None
+    widened = classes[:, holds.argmax(axis=0)]  # the first class that holds, which is the narrowest
+    return widened if holds.any(axis=0).all() and _fits(widened, max_bits) else None
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
     """Return whether the bounds with the codes ``codes`` take at most ``max_bits`` bits in a file."""
-    can_count = distinct_classes(codes).shape[1] <= 1 << _COUNT_BITS
+    can_count = len(np.unique(_class_keys(codes))) <= 1 << _COUNT_BITS
     return can_count and write_classes(BitWriter(), codes).num_bits <= max_bits
 
 
@@ -103,11 +104,6 @@ def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
         body.write_set(place > index)
         place = place[place > index]
     return body
-
-
-def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
-    """Return the distinct columns of ``codes``, sorted by lower (row 0), then by upper code (row 1)."""
-    return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
 def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:

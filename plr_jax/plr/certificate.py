@@ -1,7 +1,7 @@
 """Prove bounds of (distance - leaf function) by branch and bound; encode them in files (``portable/FORMAT.md``)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -11,14 +11,7 @@ from jaxtyping import Bool, Float, Int, Integer, UInt8
 
 from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
-from plr_jax.plr.bound_classes import (
-    CODE_BITS,
-    classify_bounds,
-    distinct_classes,
-    read_classes,
-    requantize_bounds,
-    write_classes,
-)
+from plr_jax.plr.bound_classes import CODE_BITS, classify_bounds, read_classes, requantize_bounds, write_classes
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
@@ -354,7 +347,7 @@ class Certificate:
             shared = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
-                shared = requantize_bounds(of_scale, distinct_classes(before.codes), factor, max_bits)
+                shared = requantize_bounds(of_scale, before.codes, factor, max_bits)
                 scale = scale if shared is None else before.scale
             if shared is None:
                 shared = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), max_bits)
@@ -380,7 +373,9 @@ class Certificate:
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
         """Distinct pairs of a lower (row 0) and an upper (row 1) bound that leaves share, narrowest first."""
-        bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
+        # As complex numbers, pairs are sorted by the size of the lower bound, then of the upper bound.
+        pairs: Any = np.unique(self.bounds().T @ [-1, 1j])
+        bounds = np.stack([-pairs.real, pairs.imag])
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:

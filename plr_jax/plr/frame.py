@@ -1,166 +1,17 @@
-"""The layout that all readers of a PLR share: its domain in 32-bit floats, and the sizes of its lookup tables.
-
-Two grids locate a point's leaf. A *block* is a cell of a coarse grid with ``2**block_bits`` cells along each axis. In
-each block, a finer grid separates the leaves. A *slot* is a cell of a finer grid, and has one entry in a lookup
-table.
-"""
+"""The frame that all readers of a PLR share: its domain in 32-bit floats, and mirrors of points of the domain."""
 
 from enum import IntEnum
 from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from plr_jax._arrays import ragged_indices, shortened
+from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
-from plr_jax.plr.tree import Cells
 
 FRACTION_BITS = 23  # mantissa bits of a 32-bit float
 WORD_BITS = 32
-_MIN_CLASS = 8  # smallest size class of a file, 256 bytes
-_SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); _MAX_FLAT_BITS for more leaves
-MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
-_MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
-_DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
-_PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
-# Limit of entries of lookup tables: 2**9 for each byte of the file's size class, from 2**20 to 2**27.
-_MAX_BITS_BEYOND_CLASS = 9
-_LEAST_ENTRIES_BITS = 20
-_MOST_ENTRIES_BITS = 27
-
-
-PerAxis: TypeAlias = Int[np.ndarray, " dim"]
-PerBlock: TypeAlias = Int[np.ndarray, "blocks dim"]
-Pairs: TypeAlias = Int[np.ndarray, " pairs"]
-OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
-
-
-def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
-    """Return how often each *block* must be halved along each axis until each resulting cell lies in one leaf.
-
-    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis. Row ``i`` of the result is for
-    the block with the row-major index ``i``. ``cells`` are the leaves.
-    """
-    below = np.maximum(cells.depth - block_bits, 0)
-    leaf, block = leaves_in_blocks(cells, block_bits)
-    shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
-    np.maximum.at(shape, row_major(block, block_bits), below[leaf])
-    return shape
-
-
-def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
-    """Count the overlapping pairs of a leaf and a cell of a grid with ``2**block_bits`` cells along each axis."""
-    return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
-
-
-def slots_in_blocks(cells: Cells, block_bits: PerAxis, shape: PerBlock) -> tuple[Pairs, Pairs, OfPairs, OfPairs]:
-    """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
-
-    The coarse grid has ``2**block_bits`` cells along each axis. The finer grid in block ``i`` has ``2**shape[i]``
-    cells along each axis (:func:`block_shapes`). For each pair, return the index of the leaf and the row-major index
-    of the block. Also return the overlap in the finer grid of this block: its first cell, and its number of cells
-    along each axis.
-    """
-    #   position of a leaf along an axis, in binary   | block | `below` bits |
-    #   its first slot in the block                           | `below` bits | zeros |      `shape` bits
-    leaf, block = leaves_in_blocks(cells, block_bits)
-    index = row_major(block, block_bits)
-    below = np.maximum(cells.depth[leaf] - block_bits, 0)
-    first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (shape[index] - below)
-    return leaf, index, first, np.int64(1) << (shape[index] - below)
-
-
-def leaves_in_blocks(cells: Cells, block_bits: PerAxis) -> tuple[Pairs, OfPairs]:
-    """Return all overlapping pairs of a leaf (its index) and a cell of a coarse grid (its integer coordinates).
-
-    The grid has ``2**block_bits`` cells along each axis.
-    """
-    # Along an axis, a leaf as narrow as a block lies in one block; a wider leaf covers 2**(block_bits - depth)
-    # blocks.
-    first = np.where(
-        cells.depth >= block_bits,
-        cells.position >> np.maximum(cells.depth - block_bits, 0),
-        cells.position << np.maximum(block_bits - cells.depth, 0),
-    )
-    return enumerate_boxes(first, np.int64(1) << np.maximum(block_bits - cells.depth, 0))
-
-
-def enumerate_boxes(
-    first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
-) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
-    """Enumerate the integer points ``p`` of all boxes ``first <= p < first + count``.
-
-    Return the index of each point's box, and each point.
-    """
-    # Points of a box are numbered in row-major order; the digits of this number, the last axis lowest, are the
-    # offsets.
-    box, index = ragged_indices(count.prod(axis=1))
-    points = np.empty((len(box), first.shape[1]), np.int64)
-    for axis in reversed(range(first.shape[1])):
-        index, digit = np.divmod(index, count[box, axis])
-        points[:, axis] = first[box, axis] + digit
-    return box, points
-
-
-def spread_bits(bits: PerAxis, most: int) -> PerAxis:
-    """Distribute up to ``most`` halvings over the axes; axis ``i`` needs ``bits[i]`` halvings.
-
-    Each halving goes to the axis that still needs the most. Return the number of halvings of each axis.
-    """
-    chosen = np.zeros_like(bits)
-    while chosen.sum() < min(most, bits.sum()):
-        chosen[np.argmax(bits - chosen)] += 1
-    return chosen
-
-
-def row_major(slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | PerAxis) -> Int[np.ndarray, " n"]:
-    """Return the row-major index of each cell ``slots[i]`` in a grid with ``2**bits`` cells along each axis.
-
-    ``bits`` is ``(n, dim)``, or ``(dim,)`` if all grids are equal.
-    """
-    index = np.zeros(len(slots), np.int64)
-    for axis in range(slots.shape[1]):
-        index = (index << bits[..., axis]) | slots[:, axis]
-    return index
-
-
-def byte_class(num_bytes: int) -> int:
-    """Return the size class of a file of ``num_bytes`` bytes: the logarithm to base 2, rounded up, at least 8."""
-    return max(_MIN_CLASS, (num_bytes - 1).bit_length())
-
-
-def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Return how many leaves of ``least_bytes`` bytes each fit into a file of ``2**of_class`` bytes."""
-    return int((1 << of_class) / least_bytes)
-
-
-def slot_bits_of_rows(rows: int) -> int:
-    """Return the logarithm to base 2 of the least size of a lookup table for a file with room for ``rows`` leaves.
-
-    The size is a number of entries. Smaller tables are padded to this size, so that files with equally much room
-    mostly have tables of one shape and share compiled code.
-    """
-    return next((bits for most, bits in _SLOT_BITS if rows <= most), _MAX_FLAT_BITS)
-
-
-def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often cells may be halved along one axis in a file of ``2**of_class`` bytes (None: any size).
-
-    Each leaf takes at least ``least_bytes`` bytes. ``is_deep`` allows more halvings in small files in up to two
-    dimensions.
-    """
-    rows = None if of_class is None else rows_of_class(of_class, least_bytes)
-    if rows is None or rows > MOST_ROWS or dim > 2:
-        return max(1, min(_MAX_FLAT_BITS, _DEEP_BITS // dim))
-    return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if is_deep else 0)
-
-
-def max_entries(num_bytes: int) -> int:
-    """Return the most entries of lookup tables for a file of ``num_bytes`` bytes, to limit memory during loading."""
-    bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
-    return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
-
 
 # How far from the origin a domain may be.
 _FAR = 4.0  # a domain is far beyond this many widths from the origin: 32-bit coordinates are coarser than its tables

@@ -284,8 +284,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
     no effect.
     """
     # A face is the intersection of both leaves' sides. Along its axis, it is where the lower leaf ends.
-    size = np.ldexp(1.0, -cells.depth)
-    lo, hi = cells.position * size, (cells.position + 1) * size
+    lo, hi = cells.fractions
     low = np.maximum(lo[faces.lower], lo[faces.upper])
     high = np.minimum(hi[faces.lower], hi[faces.upper])
     row = np.arange(len(faces))

@@ -1,15 +1,16 @@
 """Sample the distance function in the cells of a growing partition, and fit a plane to the samples of each cell."""
 
-from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor
+from collections.abc import Callable, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import product, zip_longest
-from typing import TypeAlias
+from functools import cached_property, lru_cache, partial
+from itertools import product
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from tqdm import tqdm
 
 from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import BoxTest, DistanceFn, Distances, Points, Reach, ReachFn
@@ -407,23 +408,35 @@ class ParallelOracle:
 
     def __call__(self, x: Points) -> Distances:
         parts = [x[begin : begin + _POINTS_OF_TASK] for begin in range(0, len(x), _POINTS_OF_TASK)]
-        futures = []  # fewer than parts, if the workers died meanwhile
-        try:
+        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in enumerate(parts)}
+        answers: dict[int, Distances] = {}
+        run_tasks(self.executor, tasks, answers)
+        # If workers died, this process computes the missing answers.
+        return np.concatenate([np.empty(0), *(answers[i] if i in answers else task() for i, task in tasks.items())])
+
+
+def run_tasks(
+    pool: Executor, tasks: Mapping[int, Callable[[], Any]], results: dict[int, Any], progress: tqdm | None = None
+) -> None:
+    """Run tasks on the workers of a pool, and add the result of each finished task to ``results``, by its number.
+
+    If workers die or an interrupt (Ctrl-C) stops the computation, the results of some tasks stay missing.
+    ``progress`` counts the items of the results.
+    """
+    numbers: dict[Future[Any], int] = {}
+    try:
+        with suppress(BrokenExecutor):
+            for number, task in tasks.items():
+                numbers[pool.submit(task)] = number
+        for future in as_completed(numbers):
             with suppress(BrokenExecutor):
-                for part in parts:
-                    futures.append(self.executor.submit(call_oracle, self.distance_fn, part))
-            answers = [np.empty(0)]
-            for part, future in zip_longest(parts, futures):
-                answer = None
-                if future is not None:
-                    with suppress(BrokenExecutor):
-                        answer = future.result()
-                # If the worker died, this process computes the answer.
-                answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
-        finally:
-            for future in futures:
-                future.cancel()
-        return np.concatenate(answers)
+                results[numbers[future]] = future.result()
+                if progress is not None:
+                    progress.update(len(future.result()))
+    finally:  # after an interrupt or an error, keep also what is finished, but not collected yet
+        for future, number in numbers.items():
+            if not future.cancel() and future.done() and future.exception() is None:
+                results[number] = future.result()
 
 
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:

@@ -12,7 +12,7 @@ The highest bits of a point's position along each axis select an entry. There ar
 from dataclasses import dataclass, field, replace
 from math import ceil, prod
 from operator import ge
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
@@ -22,29 +22,13 @@ from plr_jax._arrays import padded, padded_size
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
-from plr_jax.plr.frame import (
-    FRACTION_BITS,
-    MOST_ROWS,
-    WORD_BITS,
-    Mirrors,
-    PerAxis,
-    PerBlock,
-    block_shapes,
-    byte_class,
-    enumerate_boxes,
-    folding_numbers,
-    frame_of,
-    max_entries,
-    num_pairs,
-    row_major,
-    rows_of_class,
-    slot_bits_of_rows,
-    slots_in_blocks,
-    spread_bits,
-    unresolved_types,
-)
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.frame import FRACTION_BITS, WORD_BITS, Mirrors, folding_numbers, frame_of, unresolved_types
+from plr_jax.plr.sizes import MOST_ROWS, byte_class, max_entries, rows_of_class, slot_bits_of_rows
+from plr_jax.plr.tree import Cells, PerAxis, enumerate_boxes, leaves_in_blocks, num_pairs, row_major, spread_bits
 
+PerBlock: TypeAlias = Int[np.ndarray, "blocks dim"]
+Pairs: TypeAlias = Int[np.ndarray, " pairs"]
+OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
 _MAX_BLOCK_BITS = 16  # most halvings of the grid of blocks, summed over the axes
 _BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
 _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
@@ -119,6 +103,36 @@ class Blocks:
     shift: UInt32[Array, " dim"]  # number of a point's fraction bits below those that identify the block
     axes: tuple[int, ...] = field(metadata={"static": True})  # number of axes in each array of words
     width: int = field(metadata={"static": True})  # bits of a word per axis
+
+
+def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
+    """Return how often each *block* must be halved along each axis until each resulting cell lies in one leaf.
+
+    A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis. Row ``i`` of the result is for
+    the block with the row-major index ``i``. ``cells`` are the leaves.
+    """
+    below = np.maximum(cells.depth - block_bits, 0)
+    leaf, block = leaves_in_blocks(cells, block_bits)
+    shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
+    np.maximum.at(shape, row_major(block, block_bits), below[leaf])
+    return shape
+
+
+def slots_in_blocks(cells: Cells, block_bits: PerAxis, shape: PerBlock) -> tuple[Pairs, Pairs, OfPairs, OfPairs]:
+    """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
+
+    The coarse grid has ``2**block_bits`` cells along each axis. The finer grid in block ``i`` has ``2**shape[i]``
+    cells along each axis (:func:`block_shapes`). For each pair, return the index of the leaf and the row-major index
+    of the block. Also return the overlap in the finer grid of this block: its first cell, and its number of cells
+    along each axis.
+    """
+    #   position of a leaf along an axis, in binary   | block | `below` bits |
+    #   its first slot in the block                           | `below` bits | zeros |      `shape` bits
+    leaf, block = leaves_in_blocks(cells, block_bits)
+    index = row_major(block, block_bits)
+    below = np.maximum(cells.depth[leaf] - block_bits, 0)
+    first = (cells.position[leaf] & ((np.int64(1) << below) - 1)) << (shape[index] - below)
+    return leaf, index, first, np.int64(1) << (shape[index] - below)
 
 
 def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], shift: PerAxis) -> Blocks:

@@ -1,14 +1,14 @@
-"""The binary space partition of a PLR: batches of dyadic cells, and the tree whose leaves partition the domain."""
+"""The binary space partition of a PLR: dyadic cells, the tree whose leaves partition the domain, and grids."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, Self, cast
+from typing import Any, Self, TypeAlias, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import hash64
+from plr_jax._arrays import hash64, ragged_indices
 from plr_jax.geometry.box import Box
 
 PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit query puts it, in domain widths
@@ -214,3 +214,65 @@ def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
     """Return the corners of the unit cube, one per row, as bits in binary order: the last axis varies fastest."""
     return np.array(list(product((0, 1), repeat=dim)))
+
+
+# Regular grids over the domain, with ``2**bits`` cells along each axis.
+PerAxis: TypeAlias = Int[np.ndarray, " dim"]
+
+
+def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
+    """Count the overlapping pairs of a leaf and a cell of a grid with ``2**block_bits`` cells along each axis."""
+    return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
+
+
+def leaves_in_blocks(
+    cells: Cells, block_bits: PerAxis
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, "pairs dim"]]:
+    """Return all overlapping pairs of a leaf (its index) and a cell of a coarse grid (its integer coordinates).
+
+    The grid has ``2**block_bits`` cells along each axis.
+    """
+    # Along an axis, a leaf as narrow as a block lies in one block; a wider leaf covers 2**(block_bits - depth)
+    # blocks.
+    finer_bits = np.maximum(block_bits - cells.depth, 0)
+    first = (cells.position >> np.maximum(cells.depth - block_bits, 0)) << finer_bits
+    return enumerate_boxes(first, np.int64(1) << finer_bits)
+
+
+def enumerate_boxes(
+    first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
+) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
+    """Enumerate the integer points ``p`` of all boxes ``first <= p < first + count``.
+
+    Return the index of each point's box, and each point.
+    """
+    # Points of a box are numbered in row-major order; the digits of this number, the last axis lowest, are the
+    # offsets.
+    box, index = ragged_indices(count.prod(axis=1))
+    points = np.empty((len(box), first.shape[1]), np.int64)
+    for axis in reversed(range(first.shape[1])):
+        index, digit = np.divmod(index, count[box, axis])
+        points[:, axis] = first[box, axis] + digit
+    return box, points
+
+
+def row_major(slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | PerAxis) -> Int[np.ndarray, " n"]:
+    """Return the row-major index of each cell ``slots[i]`` in a grid with ``2**bits`` cells along each axis.
+
+    ``bits`` is ``(n, dim)``, or ``(dim,)`` if all grids are equal.
+    """
+    index = np.zeros(len(slots), np.int64)
+    for axis in range(slots.shape[1]):
+        index = (index << bits[..., axis]) | slots[:, axis]
+    return index
+
+
+def spread_bits(bits: PerAxis, most: int) -> PerAxis:
+    """Distribute up to ``most`` halvings over the axes; axis ``i`` needs ``bits[i]`` halvings.
+
+    Each halving goes to the axis that still needs the most. Return the number of halvings of each axis.
+    """
+    chosen = np.zeros_like(bits)
+    while chosen.sum() < min(most, bits.sum()):
+        chosen[np.argmax(bits - chosen)] += 1
+    return chosen

@@ -128,7 +128,9 @@ def read_wkt(
     path = file_path(path)
     with errors_named(path):
         text = text_of(path)
-        if _depth(text) > _MOST_NESTED:
+        codes = np.frombuffer(text.encode(), np.uint8)
+        depth = np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")")))  # of nested parentheses
+        if depth.max(initial=0) > _MOST_NESTED:
             raise ValueError(f"expected parentheses at most {_MOST_NESTED} deep, got deeper ones.")
         try:
             with np.errstate(all="ignore"):  # NaN, or a number too large for a float, would give a warning
@@ -141,12 +143,6 @@ def read_wkt(
                 "GEOMETRYCOLLECTION."
             ) from None
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
-
-
-def _depth(text: str) -> int:
-    """Return how deep parentheses are nested."""
-    codes = np.frombuffer(text.encode(), np.uint8)
-    return int(np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")"))).max(initial=0))
 
 
 def _parts(geometry: Any) -> Iterator[Any]:

@@ -24,12 +24,13 @@ def is_data_array(raster: Any) -> bool:
     return all(hasattr(raster, name) for name in ("dims", "coords", "attrs"))
 
 
-def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
+def raster_values(name: str, raster: Any, expected: str = "a raster of numbers") -> Float[np.ndarray, "..."]:
     """Return the values of a raster as float64, with ``inf`` for cells that are masked, NaN or without data.
 
-    The attributes of a ``DataArray`` name the values of cells without data.
+    The attributes of a ``DataArray`` name the values of cells without data. ``expected`` describes a valid raster in
+    error messages. The result is a copy.
     """
-    values = np.array(as_numbers(name, filled_with_inf(raster), "a raster of numbers"))
+    values = np.array(as_numbers(name, filled_with_inf(raster), expected))
     if is_data_array(raster):
         for key in NO_DATA:
             values[values == raster.attrs.get(key)] = np.inf

@@ -9,22 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from scipy import ndimage
 
-from plr_jax._arrays import (
-    as_bool,
-    as_finite,
-    as_numbers,
-    as_points,
-    filled_with_inf,
-    parts,
-    ragged_indices,
-    set_fields,
-    shortened,
-)
+from plr_jax._arrays import as_bool, as_finite, as_numbers, as_points, parts, ragged_indices, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._costs import Numbers, Vectors
 from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
-from plr_jax.spaces._space import as_boxes
+from plr_jax.spaces._space import as_boxes, batches
 from plr_jax.spaces._voxels import VoxelSpace
 
 _MAX_AXES = 4
@@ -82,24 +72,23 @@ class RasterCost:
     _lethal: Bool[np.ndarray, "..."]  # the cells that ``inflated`` inflates: of lethal cost in ROS, else blocked
 
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike | None = None, interpolation: str = "bilinear"):
+        order = ()
         if is_data_array(values):
             if bounds is not None:
                 raise ValueError("bounds are for arrays, and this DataArray has coordinates: leave the bounds out.")
             bounds, order = data_array_box("values", values)
-            values = raster_values("values", values)[order]
         elif bounds is None:
             raise ValueError("bounds must be the box that the cells fill, got None.")
         domain = Box.of(bounds, "The bounds")
         if interpolation not in _INTERPOLATIONS:
             raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")
         expected = f"factors on a raster of {domain.dim} axes"
-        factors = np.array(as_numbers("values", filled_with_inf(values), expected), order="C")
+        factors = np.array(raster_values("values", values, expected)[order], order="C")
         if factors.ndim != domain.dim or factors.ndim > _MAX_AXES or factors.size == 0:
             raise ValueError(
                 f"values must be {expected}, one per axis of the bounds and at most {_MAX_AXES}, with at least one "
                 f"cell, got shape {factors.shape}. The last array axis runs along x."
             )
-        factors[np.isnan(factors)] = np.inf
         wrong = ~((factors >= _MIN_FACTOR) & (factors <= _MAX_FACTOR)) & (factors != np.inf)
         if wrong.any():
             cell = tuple(map(int, np.unravel_index(np.argmax(wrong), wrong.shape)))
@@ -238,9 +227,7 @@ class RasterCost:
         """
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
-        finite = np.flatnonzero(np.isfinite(q).all(axis=1))
-        for begin in range(0, len(finite), _POINTS_PER_BATCH):
-            part = finite[begin : begin + _POINTS_PER_BATCH]
+        for part in batches(np.flatnonzero(np.isfinite(q).all(axis=1)), _POINTS_PER_BATCH):
             coords = self._cell_coordinates(q[part])
             coords = np.where(self.domain.periodic, coords % self._sizes, self._clipped(coords))
             factors[part] = self._interpolated(coords)
@@ -270,9 +257,7 @@ class RasterCost:
         for count in range(1, _MAX_PATCHES + 1):
             few = np.flatnonzero(~by_table & (patches == count))
             corners = np.array(list(product(range(count + 1), repeat=self.dim)))
-            step = max(1, _POINTS_PER_BATCH // len(corners))
-            for begin in range(0, len(few), step):
-                part = few[begin : begin + step]
+            for part in batches(few, max(1, _POINTS_PER_BATCH // len(corners))):
                 lines = np.floor(first[part, None]) + np.arange(count + 1)[:, None]
                 # Coordinates of the corners of all pieces, (boxes, (count + 1)**dim, dim).
                 coords = np.clip(lines, first[part, None], last[part, None])[:, corners, np.arange(self.dim)]

@@ -1,10 +1,19 @@
 """Shortest paths on a map that JAX may trace, by way of the map's convex corners, at which alone paths bend.
 
-Which points see one another is decided without derivatives. Derivatives of a distance are those of the length of one
-shortest path, by its ends and, where the map's points are traced, by its corners.
+Which points see one another is decided without derivatives. The derivative of a distance is that of the length of one
+shortest path, by the ends of the path and, if the map's vertices are traced, by its corners.
+
+A map is a pytree, ``GridCorners`` or ``PolygonCorners``. It has these members:
+
+- ``points(dtype)``: the corners, ``(corners, 2)``.
+- ``is_convex``: whether paths may bend at each corner, ``(corners,)``; false for padding.
+- ``placed(x)``: points ``(n, 2)`` as *ends* of segments, for tests of sight, and whether each point is free.
+- ``see_each_other(a, b)``: whether the straight segment between each pair of ends is free; batches of ends broadcast.
+- ``seen_from(ends)``: which corners each end sees, ``(n, corners)``; only entries of convex corners have a meaning.
+- ``lengths(dtype)``: the matrix of distances between convex corners that see each other, ``inf`` for all other pairs.
 """
 
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -17,34 +26,6 @@ Broadcast = Float[Array, "*#batch 2"]
 Points = Float[Array, "n 2"]
 Lengths = Float[Array, " corners"]
 Segments = tuple[Float[Array, "corners corners"], Lengths]  # between corners, and from corners to the goal
-
-
-@runtime_checkable
-class CornerMap(Protocol):
-    """The corners of a map, and tests of sight between *ends* of segments, which :meth:`placed` makes of points."""
-
-    @property
-    def is_convex(self) -> Bool[Array, " corners"]:
-        """Whether paths may bend at each corner; false for padding."""
-        ...
-
-    def points(self, dtype: Any) -> Float[Array, "corners 2"]: ...
-
-    def placed(self, x: Float[Array, "*batch 2"]) -> tuple[Any, Bool[Array, "*batch"]]:
-        """Return points as ends of segments, and whether each point is free."""
-        ...
-
-    def see_each_other(self, a: Any, b: Any) -> Bool[Array, "..."]:
-        """Return whether the straight segments between ends are free; batches of ends broadcast."""
-        ...
-
-    def seen_from(self, ends: Any) -> Bool[Array, "n corners"]:
-        """Return which corners each end sees; only entries of convex corners have a meaning."""
-        ...
-
-    def lengths(self, dtype: Any) -> Float[Array, "corners corners"]:
-        """Return the distances between convex corners that see each other; ``inf`` for all other pairs."""
-        ...
 
 
 @jax.custom_jvp
@@ -94,12 +75,12 @@ def _change_of_paths(segments: Segments, total: Lengths, changes: Segments) -> L
 class CornerPaths:
     """Shortest paths to the nearest of several goals, by way of convex corners."""
 
-    corners: Any  # a CornerMap
+    corners: Any  # a map
     distances: Float[Array, "*maps corners"]  # from convex corners to the nearest goal
     goals: Float[Array, "*maps goals 2"]
 
     @classmethod
-    def to_goals(cls, corners: CornerMap, goals: Float[Array, "goals 2"]) -> Self:
+    def to_goals(cls, corners: Any, goals: Float[Array, "goals 2"]) -> Self:
         ends, is_free = corners.placed(goals)
         seen = corners.seen_from(ends) & is_free[:, None] & corners.is_convex[None]
         straight = length_if_seen(seen, goals[:, None], corners.points(goals.dtype)[None]).T
@@ -131,11 +112,11 @@ class CornerPaths:
 class CornerPairs:
     """Shortest paths between any two points, by way of convex corners."""
 
-    corners: Any  # a CornerMap
+    corners: Any  # a map
     between: Float[Array, "*maps corners corners"]  # shortest paths between corners; 0 from a corner to itself
 
     @classmethod
-    def of_map(cls, corners: CornerMap) -> "CornerPairs":
+    def of_map(cls, corners: Any) -> "CornerPairs":
         return cls(corners, _paths_between(corners.lengths(jnp.zeros(()).dtype)))
 
     def distance(self, x: Points, y: Points) -> Float[Array, " n"]:

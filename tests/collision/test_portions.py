@@ -47,7 +47,7 @@ def test_bisection_limits_corner_pairs_per_call(corners, reach):
 
     def undecided(a, b, reach):
         sizes.append(len(a.x) * (corners * corners if reach > 0 else corners + corners))
-        return np.zeros(len(a.x), dtype=bool), np.zeros(len(a.x), dtype=bool)
+        return np.full(len(a.x), -np.inf), np.full(len(a.x), np.inf)
 
     body = bodies.moving_bodies(BAR, *random_columns(3)).with_size(np.zeros((2, corners)))
     assert not bodies.bisect(undecided, body, body, reach).any()
@@ -104,9 +104,10 @@ def test_bisection_ends_at_deadline(monkeypatch):
     clock = iter(range(1000))
     monkeypatch.setattr(_arrays.time, "perf_counter", lambda: next(clock))
     body = bodies.moving_bodies(BAR, *random_columns(20)).with_size(np.zeros((2, 4)))
-    never = np.zeros(20, dtype=bool)
     with pytest.raises(TimeoutError):
-        bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
+        bodies.bisect(
+            lambda a, b, reach: (np.full(len(a.x), -np.inf), np.full(len(a.x), np.inf)), body, body, -1e-9, deadline=5
+        )
     assert next(clock) == 7  # six judgements were begun at most
 
 

@@ -12,7 +12,7 @@ from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_
 
 from plr_jax import Box
 from plr_jax.plr import Plane, query, tables
-from plr_jax.plr.frame import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows
+from plr_jax.plr.sizes import byte_class, max_axis_depth, max_entries, rows_of_class, slot_bits_of_rows
 from plr_jax.plr.tables import build_pages, build_tables
 from plr_jax.plr.tree import Cells
 

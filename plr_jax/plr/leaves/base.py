@@ -14,9 +14,10 @@ from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.finite_elements import enclosing_planes
-from plr_jax.plr.frame import Corner, byte_class, is_far, max_axis_depth, rows_of_class
+from plr_jax.plr.frame import Corner, is_far
 from plr_jax.plr.growth import DEFAULT_MAX_LEAVES, Limits, ShouldSplitRule, SplitRule, check_memory
 from plr_jax.plr.sampling import Sampler
+from plr_jax.plr.sizes import byte_class, max_axis_depth, rows_of_class
 from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
 
 Coefficients: TypeAlias = Float[np.ndarray, "n terms"]

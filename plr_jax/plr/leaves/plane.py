@@ -19,7 +19,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
-from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
+from plr_jax.plr.frame import LARGEST, Corner, table_corners
 from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
 from plr_jax.plr.leaves.base import (
     UNIT,
@@ -31,6 +31,7 @@ from plr_jax.plr.leaves.base import (
     read_step,
 )
 from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
+from plr_jax.plr.sizes import MOST_ROWS
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 FLOAT_BITS = 32  # bits of a center value that is stored as a float

@@ -25,7 +25,7 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 class Operations:
     """The operations of a query other than arithmetic and comparisons, on NumPy values.
 
-    Code generators override the methods.
+    Code generators override all methods.
     """
 
     def let(self, name: str, value: Value) -> Value:
@@ -49,7 +49,10 @@ class Operations:
         return x.astype(np.float32)
 
     def fraction(self, x: Value) -> Value:
-        """Return the 23 mantissa bits of a 32-bit float in [1, 2) as an integer."""
+        """Return the 23 mantissa bits of a 32-bit float in [1, 2) as an integer.
+
+        In C and JavaScript, they are the highest bits of a 32-bit integer.
+        """
         return x.view(np.uint32) & np.uint32((1 << FRACTION_BITS) - 1)
 
 

@@ -15,13 +15,14 @@ from plr_jax._files import file_path
 from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
-from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
+from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside
 from plr_jax.plr.leaves import as_sourced, goal_of_leaves, require_goals
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
 from plr_jax.plr.portable.c import c_header, compact_header
 from plr_jax.plr.portable.compact import compact_bytes
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Emitter, Expression
+from plr_jax.plr.tree import spread_bits
 
 _MOST_BITS = 16  # log2 of the most entries of a lookup table, which then fits a core's second-level cache
 _UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding

@@ -134,12 +134,6 @@ class Emitter(Operations, ABC):
     @abstractmethod
     def literal(self, number: np.floating) -> str: ...
 
-    @abstractmethod
-    def floor(self, x: Expression) -> Expression: ...
-
-    @abstractmethod
-    def fraction(self, x: Expression) -> Expression: ...  # an integer in Python, else the highest bits of 32
-
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
         used: list[str] = []  # from the last statement to the first: a definition is needed by statements after it

@@ -144,11 +144,8 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
     # A coordinate x is on the lattice if |n x - round(n x)| <= n * rounding. This tolerance is a little more than the
     # rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
-    is_off = np.zeros((len(points), len(_LATTICES)), bool)
-    for along in points.T:
-        scaled = along[:, None] * _LATTICES
-        is_off |= np.abs(scaled - np.rint(scaled)) > _LATTICES * rounding
-    return is_off
+    scaled = points[:, :, None] * _LATTICES
+    return (np.abs(scaled - np.rint(scaled)) > _LATTICES * rounding).any(axis=1)
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:

@@ -266,26 +266,25 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float
     """
     # 1. Dynamic programming from the smallest boxes up: a box costs the least of its cost as a leaf and, for each
     # axis, the sum of the costs of its halves.
-    total = costs + price
-    choice = np.full(len(costs), -1, np.int8)  # axis along which to halve each box; -1 for a leaf
+    leaf_costs = costs + price
+    total = leaf_costs.copy()
     for shape in list(lattice.first)[::-1]:
         if sum(shape) < max_depth:
-            least, best_axis = lattice.of_shape(total, shape), lattice.of_shape(choice, shape)  # views
+            least = lattice.of_shape(total, shape)  # a view
             for axis in range(2):
                 if halves := lattice.halves(total, shape, axis):
-                    split_cost = halves[0] + halves[1]
-                    is_cheaper = split_cost < least
-                    least[is_cheaper] = split_cost[is_cheaper]
-                    best_axis[is_cheaper] = axis
-    # 2. Walk down from the root, level by level.
+                    np.minimum(least, halves[0] + halves[1], out=least)
+    # 2. Walk down from the root, level by level. Of axes with equal costs, the first is halved.
     axes, leaves = [], []
     box = np.zeros(1, np.int64)
     while len(box):
-        axis = choice[box].astype(np.int64)
-        is_leaf = axis < 0
+        halves = lattice.child[:, box]  # by axis, box and half; -1 if the lattice lacks them
+        split_costs = np.where(halves[:, :, 0] < 0, np.inf, total[halves].sum(axis=2))
+        axis = np.where(total[box] < leaf_costs[box], split_costs.argmin(axis=0), -1)
+        is_split = axis >= 0
         axes.append(axis)
-        leaves.append(box[is_leaf])
-        box = lattice.child[axis[~is_leaf], box[~is_leaf]].ravel()
+        leaves.append(box[~is_split])
+        box = halves[axis[is_split], is_split].ravel()
     return SampledTree(axes, np.concatenate(leaves)[leaf_order(axes)])
 
 
