@@ -111,7 +111,7 @@ def _distances(fields: Any, state: Any) -> Any:
 
 
 def _errors(env: Any, discs: int, states: Any, found: np.ndarray, agents: np.ndarray) -> tuple[int, float, int]:
-    """Compare distances ``(levels, steps, agents)`` with ``VisibilityGraph``; return wrong, largest error, infinite."""
+    """Compare distances ``(levels, steps, agents)`` with the oracle; return wrong, largest error, infinite."""
     truth = np.empty(found.shape)
     bounds = _bounds(env).astype(float)
     for level in range(len(found)):

@@ -2,8 +2,8 @@
 
 At each place, all vertices of a map, its goal and a point move along one random direction. Differences are of fourth
 order. Their step is large, as the oracle rounds coordinates; so places are left out where the shortest path changes
-its corners within the step, or has a segment shorter than 100 steps, where distances bend. Straight paths are left out
-too. Errors are shares of the gradient's norm, the typical derivative along a random direction.
+its corners within the step, or has a segment shorter than 100 steps, where distances bend. Places with straight paths
+are left out too. Errors are shares of the gradient's norm, the typical derivative along a random direction.
 """
 
 from typing import Any, NamedTuple
@@ -86,7 +86,7 @@ def _drawn(given: RandomMap, seed: int) -> tuple[_Place, _Place]:
 
 
 def _differences(place: _Place, velocity: _Place) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the differences, the numbers of path segments, 0 at places to leave out, and which places have a path."""
+    """Return differences, numbers of path segments (0 at places to leave out), and which places have a path."""
     distances, paths = [], []
     for share in (0, *_NODES):
         at = _Place(*(a + share * _STEP * b for a, b in zip(place, velocity, strict=True)))

@@ -4,8 +4,8 @@ The floor plan of the scenes has 289 vertices, more than ``polygon_distance`` ta
 machine moves and turns within limits. The box that it may cover meets neither another box nor an exit, and points are
 drawn outside these boxes, so that no machine covers one.
 
-Rivals take as long as the gradient's steps. Random search uses the same compiled distances, of many layouts at once if
-that is faster. All means are those of ``VisibilityGraph``.
+Rivals take as long as the gradient's steps. Random search uses the same compiled distances, of many layouts at once
+if that is faster. All means are those of ``VisibilityGraph``.
 """
 
 import time

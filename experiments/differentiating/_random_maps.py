@@ -18,7 +18,7 @@ Polygons = Float[np.ndarray, "m k 2"]
 
 
 class RandomMap(NamedTuple):
-    """Polygons padded by rows of NaN, of 32-bit coordinates held in 64 bits, and the same polygons without padding."""
+    """Polygons padded by rows of NaN, in 64 bits but exact in 32, and the same polygons without padding."""
 
     kind: str
     polygons: Polygons
@@ -49,7 +49,7 @@ def _polygon(rng: np.random.Generator, kind: str, k: int, size: float) -> Float[
     if kind == "touching":
         # Boxes and triangles on a grid share sides and corners.
         corner, (w, h) = rng.integers(0, _GRID - 4, 2), rng.integers(1, max(2, int(_GRID * size)) + 1, 2)
-        box = np.array([corner, corner + [w, 0], corner + [w, h], corner + [0, h]]) / _GRID
+        box = (corner + np.array([(0, 0), (w, 0), (w, h), (0, h)])) / _GRID
         return box[[0, 1, rng.integers(2, 4)]] if k == 3 else box
     if kind == "discs":
         return np.asarray(polygons_of_discs(center[None], 0.8 * size, k), float)[0]

@@ -72,6 +72,6 @@ def boxes(rng: np.random.Generator, number: int) -> np.ndarray:
     side = int(np.ceil(np.sqrt(number)))
     cells = rng.permutation(side**2)[:number]
     centers = (np.stack([cells % side, cells // side], axis=1) + rng.uniform(0.4, 0.6, (number, 2))) / side
-    angle = rng.uniform(0, 2 * np.pi, (number, 1)) + [0.0, 1.2, np.pi, np.pi + 1.2]
+    angle = rng.uniform(0, 2 * np.pi, (number, 1)) + np.array([0, 1.2, np.pi, np.pi + 1.2])
     around = np.stack([np.cos(angle), np.sin(angle)], axis=2)
     return (centers[:, None] + 0.39 / side * around).astype(np.float32)
