@@ -24,9 +24,9 @@ def traced_polygons(exact: dict[str, Any], differences: dict[str, Any], speed: d
     return table + (
         f"\n1,000 points; least of many calls. {batch['maps']:,} maps of {batch['corners']} corners, "
         f"{batch['points a map']} points each, under `vmap`: {batch['seconds']:.2f} s, and "
-        f"{batch['compile_seconds']:.0f} s to compile. Errors: {exact['maps']} random maps of {low} to {high} corners "
-        f"in the unit square, {exact['points']:,} points each: {errors}. Gradients by vertices, goal and point at "
-        f"{differences['places']:,} random places, beside differences of the exact oracle: largest relative error "
+        f"{batch['compile_seconds']:.0f} s to compile. Errors: {exact['maps']} random maps of {low} to {high} "
+        f"corners in the unit square, {exact['points']:,} points each: {errors}. Gradients by vertices, goal and point "
+        f"at {differences['places']:,} random places, beside differences of the exact oracle: largest relative error "
         f"{slopes}.\n"
     )
 
@@ -63,8 +63,8 @@ def gradient_uses(
         f"\nLayout: {layout['machines']} machines of a shop floor shift by up to {layout['shift']:g} m and turn by "
         f"up to {layout['turn_degrees']:.0f} degrees; {layout['points']:,} points; {layout['steps']} steps of Adam, "
         f"{some['seconds']:.1f} s, and as long for each rival, or one step. Medians of {layout['floors']} floors, "
-        f"whose mean distances are about {distances}; gain over that of random search: {over}. Calibration: a file of "
-        f"exact distances, {calibrate['bytes']['fitted']:,} bytes, fitted to {calibrate['samples']:,} times with "
+        f"whose mean distances are about {distances}; gain over that of random search: {over}. Calibration: a file "
+        f"of exact distances, {calibrate['bytes']['fitted']:,} bytes, fitted to {calibrate['samples']:,} times with "
         f"{calibrate['noise']:.0%} noise in {calibrate['seconds']['fitted']:.0f} s; networks of "
         f"{calibrate['bytes']['network']:,} bytes, {calibrate['network_settings']} settings, in "
         f"{calibrate['seconds']['network']:.0f} s; {calibrate['unseen']:,} unseen points. Harder maps: "

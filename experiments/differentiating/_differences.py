@@ -93,7 +93,7 @@ def _differences(place: _Place, velocity: _Place) -> tuple[np.ndarray, np.ndarra
         oracle = VisibilityGraph(Workspace(_BOUNDS, rings_of(at.polygons)), at.goal)
         distances.append(oracle(at.x))
         paths.append([_corners(oracle.shortest_path(point), at.polygons) for point in at.x])
-    is_finite = np.isfinite(distances).all(axis=0)
+    is_finite = np.asarray(np.isfinite(distances).all(axis=0))
     count = np.zeros(len(place.x), int)
     for i in np.flatnonzero(is_finite):
         (corners, shortest), *others = (path[i] for path in paths)
@@ -128,6 +128,6 @@ def _slopes(place: _Place, velocity: _Place, dtype: Any) -> tuple[np.ndarray, np
     gradients[0] = np.where(is_padding, 0, gradients[0])
     along = np.where(is_padding, 0, velocity.polygons), velocity.goal, velocity.x
     axes = [tuple(range(1, each.ndim)) for each in gradients]
-    slope = sum((a * b).sum(axis=axis) for a, b, axis in zip(gradients, along, axes, strict=True))
-    norm = np.sqrt(sum((a**2).sum(axis=axis) for a, axis in zip(gradients, axes, strict=True)))
-    return slope, norm
+    slopes = [(a * b).sum(axis=axis) for a, b, axis in zip(gradients, along, axes, strict=True)]
+    squares = [(a**2).sum(axis=axis) for a, axis in zip(gradients, axes, strict=True)]
+    return np.sum(slopes, axis=0), np.sqrt(np.sum(squares, axis=0))

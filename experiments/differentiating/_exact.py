@@ -71,7 +71,8 @@ class _Case:
         x = _in_32_bits(rng.uniform(workspace.bounds.lo, workspace.bounds.hi, (POINTS, 2)))
         vertices = np.concatenate(given.rings)
         at_corners = vertices[rng.integers(len(vertices), size=_AT_CORNERS)]
-        places, polygons = shapely.points(at_corners), np.array([shapely.Polygon(ring) for ring in given.rings])
+        places = np.asarray(shapely.points(at_corners))
+        polygons = np.array([shapely.Polygon(ring) for ring in given.rings])
         touches = (shapely.distance(places[:, None], polygons[None]) < BESIDE_WALLS[32]).sum(axis=1) > 1
         x[: (~touches).sum()] = at_corners[~touches]
         return cls(given, workspace, goal[0], x)

@@ -171,7 +171,7 @@ def descend(steps: int, floor: Floor, start: Any) -> Any:
         value, slope = jax.value_and_grad(mean_distance, 1)(floor, moves)
         best = jnp.where(value < least_mean, moves, best)
         change, memory = optimizer.update(slope, memory)
-        moves = jnp.clip(optax.apply_updates(moves, change), -1, 1)
+        moves = jnp.clip(moves + change, -1, 1)
         return (moves, memory, jnp.minimum(value, least_mean), best), None
 
     first = start, optimizer.init(start), jnp.float32(jnp.inf), start
@@ -222,5 +222,5 @@ def finite_differences(floor: Floor, start: np.ndarray, seconds: float) -> tuple
             step[i] = _DIFFERENCE
             slope[i] = (exact_mean(floor, moves + step) - exact_mean(floor, moves - step)) / (2 * _DIFFERENCE)
         change, memory = optimizer.update(slope, memory)
-        moves, number = np.clip(np.asarray(optax.apply_updates(moves, change)), -1, 1), number + 1
+        moves, number = np.clip(moves + np.asarray(change), -1, 1), number + 1
     return moves, number
