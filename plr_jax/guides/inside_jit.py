@@ -5,7 +5,7 @@ Choose by what is known before `jit` compiles:
 - The map and the goal are fixed: build a `plr_jax.PLR` beforehand, and call it inside `jit`.
 - The map is fixed and the goal is drawn inside `jit`: build pairs with `plr_jax.construct_pairs` beforehand. In
   `reset` of the environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
-- The map is drawn inside `jit`: call `grid_distance` inside `jit`, or `polygon_distance` (`plr_jax.guides.gradients`).
+- The map is drawn inside `jit`: call `grid_distance`, or `polygon_distance` (see `plr_jax.guides.gradients`).
 
 A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as
 arguments.

@@ -22,9 +22,7 @@ Edges = Float[Array, "edges 2"]
 # about 4 of them.
 _MARGIN = 8
 _WALL = 4
-_SHARPEST = (
-    1 / 64
-)  # sine of half of a corner's angle: sharper corners are moved no farther than corners of this angle
+_SHARPEST = 1 / 64  # sine of half an angle: sharper corners are moved as far as corners of this angle
 _ROUNDS = 3  # a point near several walls is moved away from one wall after another
 _EDGES = 16  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
 
@@ -34,9 +32,7 @@ class PolygonCorners:
     """The corners of polygons, made by :meth:`of_polygons`."""
 
     vertices: Float[Array, "*maps m k 2"]  # counterclockwise; padding repeats another vertex of its polygon
-    offsets: Float[
-        Array, "*maps m k 2"
-    ]  # from each vertex to a point outside its polygon, at the margin from its sides
+    offsets: Float[Array, "*maps m k 2"]  # from each vertex to a point at the margin outside of both sides there
     is_convex: Bool[Array, "*maps corners"]  # and not inside another polygon or beyond the bounds
     bounds: Float[Array, "*maps 2 2"]  # lower and upper corner
     margin: Float[Array, "*maps"]
@@ -51,7 +47,8 @@ class PolygonCorners:
         last = jnp.argmin(jnp.where(is_vertex[:, None], -steps % k, k), axis=2)
         vertices = jnp.take_along_axis(polygons, last[..., None], axis=1)
         vertices = jnp.where(is_vertex.any(axis=1)[:, None, None], vertices, 0)  # 0 in a polygon of padding alone
-        area = _cross(vertices, jnp.roll(vertices, -1, axis=1)).sum(axis=1)
+        spokes = vertices - vertices[:, :1]  # relative to the first vertex, the area of a small polygon is precise
+        area = _cross(spokes, jnp.roll(spokes, -1, axis=1)).sum(axis=1)
         vertices = jnp.where(area[:, None, None] < 0, vertices[:, ::-1], vertices)
         # 2. Find the directions of the sides that meet at each vertex, past equal vertices.
         #    previous --- before ---> vertex --- after ---> next
