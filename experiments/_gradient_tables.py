@@ -25,9 +25,9 @@ def traced_polygons(exact: dict[str, Any], differences: dict[str, Any], speed: d
         f"\n1,000 points; least of many calls. {batch['maps']:,} maps of {batch['corners']} corners, "
         f"{batch['points a map']} points each, under `vmap`: {batch['seconds']:.2f} s, and "
         f"{batch['compile_seconds']:.0f} s to compile. Errors: {exact['maps']} random maps of {low} to {high} "
-        f"corners in the unit square, {exact['points']:,} points each: {errors}. Gradients by vertices, goal and point "
-        f"at {differences['places']:,} random places, beside differences of the exact oracle: largest relative error "
-        f"{slopes}.\n"
+        f"corners in the unit square, {exact['points']:,} points each: {errors}. Gradients by vertices, goal and "
+        f"point at {differences['places']:,} random places, beside differences of the exact oracle: largest "
+        f"relative error {slopes}.\n"
     )
 
 
