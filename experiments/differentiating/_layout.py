@@ -22,7 +22,7 @@ from jax import lax
 from experiments.differentiating._common import compiled, least, mean_of_finite
 from plr_jax import Box, VisibilityGraph, Workspace, polygon_distance
 
-STEPS, POINTS, FLOORS = 200, 2_000, 5
+STEPS, POINTS, FLOORS = 200, 2_000, 3
 RATE = 0.08  # of the first step, as a share of the limits
 SHIFT, TURN = 0.75, np.radians(15)  # limits, from the first layout: meters along each axis, and radians
 EXITS = {
@@ -91,7 +91,7 @@ class _Search(NamedTuple):
 def _row(search: _Search, seed: int, exits: str, steps: int, smoke: bool) -> dict[str, Any]:
     floor, rng = shop_floor(seed, exits, smoke), np.random.default_rng(seed + 500)
     start = np.zeros((len(floor.centers), 3), np.float32)
-    seconds = least(lambda: search.descent(floor, start), 1 if smoke else 5).wall
+    seconds = least(lambda: search.descent(floor, start), 1 if smoke else 3).wall
     found = {"gradient": np.asarray(search.descent(floor, start))}
     found["random search"], tried = random_search(search, floor, start, seconds, rng)
     found["local random search"] = local_search(search, floor, start, seconds, rng)
