@@ -1,7 +1,7 @@
 """Harder maps by gradients: obstacles move so that a start gets farther from a goal, on many maps under ``vmap``.
 
 Each map has 8 obstacles. Gradient ascent moves each as a whole, by at most a radius from where it was. The
-result of a map is the best of its steps. A step that covers the start or the goal, or closes all paths, leads back to
+result of a map is the best of its steps. A step that covers the start or the goal, or nearly, or closes all paths, leads back to
 the best. ``VisibilityGraph`` checks every result.
 """
 
@@ -24,6 +24,9 @@ ALLOWED = 1e-5
 _BOUNDS = ((0.0, 0.0), (1.0, 1.0))
 _START, _GOAL = (0.05, 0.05), (0.95, 0.95)
 _CLEAR = 0.02  # around start and goal of the first maps
+# Points around start and goal that stay free, so that walls do not touch start or goal.
+_ANGLES = np.arange(8) * np.pi / 4
+_PROBES = np.concatenate([end + 1e-3 * np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], 1) for end in (_START, _GOAL)])
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
@@ -72,20 +75,22 @@ def ascend(polygons: Any, steps: int) -> tuple[Any, Any, Any]:
     """Return the first distance, the longest one, and the moves of obstacles ``(8, 2)`` that lead to it."""
 
     def distance(moves):
-        return polygon_distance(polygons + moves[:, None], jnp.array(_GOAL), bounds=_BOUNDS)(jnp.array(_START))
+        field = polygon_distance(polygons + moves[:, None], jnp.array(_GOAL), bounds=_BOUNDS)
+        return field(jnp.array(_START)), jnp.isfinite(field(jnp.array(_PROBES, jnp.float32))).all()
 
     def advance(state, step):
         (_, moves, slope), (longest, *_) = state
         moves = moves + step * slope / jnp.maximum(jnp.linalg.norm(slope, axis=1).max(), 1e-9)
         length = jnp.linalg.norm(moves, axis=1, keepdims=True)
         moves = moves * jnp.minimum(1, RADIUS / jnp.maximum(length, 1e-9))
-        value, slope = jax.value_and_grad(distance)(moves)
+        (value, is_allowed), slope = jax.value_and_grad(distance, has_aux=True)(moves)
+        is_allowed &= jnp.isfinite(value)
         # The shorter of two paths changes from step to step. So a step may shorten the distance.
-        best = _choose(jnp.isfinite(value) & (value > longest), (value, moves, slope), state[1])
-        return (_choose(jnp.isfinite(value), (value, moves, slope), best), best), None
+        best = _choose(is_allowed & (value > longest), (value, moves, slope), state[1])
+        return (_choose(is_allowed, (value, moves, slope), best), best), None
 
     start = jnp.zeros((polygons.shape[0], 2))
-    first, slope = jax.value_and_grad(distance)(start)
+    (first, _), slope = jax.value_and_grad(distance, has_aux=True)(start)
     at_first = first, start, slope
     (_, (longest, moves, _)), _ = lax.scan(advance, (at_first, at_first), STEP * (1 - jnp.arange(steps) / steps))
     return first, longest, moves
