@@ -1,8 +1,8 @@
 """Harder maps by gradients: obstacles move so that a start gets farther from a goal, on many maps under ``vmap``.
 
-Each map has 8 obstacles. Gradient ascent moves each as a whole, by at most a radius from where it was. The result of a
-map is the best of its steps. A step that covers the start or the goal, or nearly, or closes all paths, leads back to
-the best. ``VisibilityGraph`` checks every result.
+Each map has 8 obstacles. Gradient ascent moves each as a whole, by at most a radius from where it was. The result of
+a map is the best of its steps. A step that covers the start or the goal, or nearly, or closes all paths, leads back
+to the best. ``VisibilityGraph`` checks every result.
 """
 
 import time
