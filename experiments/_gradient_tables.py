@@ -31,10 +31,8 @@ def traced_polygons(exact: dict[str, Any], differences: dict[str, Any], speed: d
     )
 
 
-def gradient_uses(
-    layout: dict[str, Any], calibrate: dict[str, Any], generate: dict[str, Any], camar: dict[str, Any]
-) -> str:
-    """Layouts, calibration, generated maps and CAMAR: what gradients gain, beside what does without them."""
+def gradient_uses(layout: dict[str, Any], calibrate: dict[str, Any], generate: dict[str, Any]) -> str:
+    """Layouts, calibration and generated maps: what gradients gain, beside what does without them."""
     rows = [["use", "measure", "with gradients", "without"]]
     ways = {"random search": "random search", "local random search": "(1+1) evolution strategy"}
     ways |= {"finite differences": "finite differences of the oracle"}
@@ -47,18 +45,12 @@ def gradient_uses(
     without = f"network {error['network']}, samples alone ({alone}) {error[alone]}, not fitted {error['start']}"
     rows.append(["calibration", "mean error of unseen times", error["fitted"], without])
     rows.append(["harder maps", "longest / first distance, median", f"{generate['ratio']['median']:.3f}", "1"])
-    for row in camar["rows"]:
-        rate = {way: f"{steps:,.0f}" for way, steps in row["steps_a_cpu_second"].items()}
-        name = f"CAMAR, {row['discs']} discs of {camar['corners of a disc']} corners"
-        rows.append([name, "steps a CPU second", rate["once a level"], f"{rate['without']} without distances"])
     ratio = {each["exits"]: each["over_random_search"] for each in layout["summary"]}
     over = "; ".join(
         f"{name} {one['median']:.2f} ({one['least']:.2f} to {one['largest']:.2f})" for name, one in ratio.items()
     )
     some = layout["rows"][0]
     distances = ", ".join(f"{each['before']:.1f} m" for each in (layout["rows"][0], layout["rows"][-1]))
-    checked = sum(row["checked"] for row in camar["rows"])
-    wrong = sum(row["wrong"] for row in camar["rows"])
     return markdown(rows, numbers=0) + (
         f"\nLayout: {layout['machines']} machines of a shop floor shift by up to {layout['shift']:g} m and turn by "
         f"up to {layout['turn_degrees']:.0f} degrees; {layout['points']:,} points; {layout['steps']} steps of Adam, "
@@ -70,6 +62,22 @@ def gradient_uses(
         f"{calibrate['seconds']['network']:.0f} s; {calibrate['unseen']:,} unseen points. Harder maps: "
         f"{generate['maps']:,} maps of {generate['obstacles']} obstacles that move by up to {generate['radius']:g}, "
         f"{generate['steps_a_second']:,.0f} steps a second; {generate['right']:,} results confirmed by "
-        f"`VisibilityGraph`. CAMAR {camar['camar']}: {camar['agents']} agents, corners found once a level; "
-        f"{wrong} of {checked:,} distances wrong.\n"
+        f"`VisibilityGraph`.\n"
+    )
+
+
+def camar_distances(camar: dict[str, Any]) -> str:
+    """Steps of CAMAR with distances of its agents, beside steps without them."""
+    rows = [
+        {**row, **{way: f"{rate:,.0f}" for way, rate in row["steps_a_cpu_second"].items()}} for row in camar["rows"]
+    ]
+    table = formatted(
+        rows,
+        *(("discs", "{discs}"), ("corners", "{corners}"), ("steps a CPU second", "{without}")),
+        *(("corners found once a level", "{once a level}"), ("in every step", "{every step}")),
+    )
+    checked, wrong = (sum(row[key] for row in camar["rows"]) for key in ("checked", "wrong"))
+    return table + (
+        f"\nCAMAR {camar['camar']}, {camar['agents']} agents, distances to their goals in every step; {wrong} of "
+        f"{checked:,} differ from `VisibilityGraph`.\n"
     )

@@ -133,9 +133,10 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
         slopes.traced_polygons,
         *(f"gradients.{part}" for part in ("exact", "differences", "speed")),
     ),
+    "camar_distances": (slopes.camar_distances, "gradients.camar"),
     "gradient_uses": (
         slopes.gradient_uses,
-        *(f"gradients.{part}" for part in ("layout", "calibrate", "generate", "camar")),
+        *(f"gradients.{part}" for part in ("layout", "calibrate", "generate")),
     ),
     "table2": (uses.table2, "table2"),
     "heuristics": (uses.heuristics, "table2"),
