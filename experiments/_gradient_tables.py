@@ -50,12 +50,14 @@ def gradient_uses(layout: dict[str, Any], calibrate: dict[str, Any], generate: d
         f"{name} {one['median']:.2f} ({one['least']:.2f} to {one['largest']:.2f})" for name, one in ratio.items()
     )
     some = layout["rows"][0]
+    tried = [row["random_layouts"] for row in layout["rows"]]
     distances = ", ".join(f"{each['before']:.1f} m" for each in (layout["rows"][0], layout["rows"][-1]))
     return markdown(rows, numbers=0) + (
         f"\nLayout: {layout['machines']} machines of a shop floor shift by up to {layout['shift']:g} m and turn by "
         f"up to {layout['turn_degrees']:.0f} degrees; {layout['points']:,} points; {layout['steps']} steps of Adam, "
         f"{some['seconds']:.1f} s, and as long for each rival, or one step. Medians of {layout['floors']} floors, "
-        f"whose mean distances are about {distances}; gain over that of random search: {over}. Calibration: a file "
+        f"whose mean distances are about {distances}; gain over that of random search, "
+        f"which tried {min(tried)} to {max(tried)} layouts: {over}. Calibration: a file "
         f"of exact distances, {calibrate['bytes']['fitted']:,} bytes, fitted to {calibrate['samples']:,} times with "
         f"{calibrate['noise']:.0%} noise in {calibrate['seconds']['fitted']:.0f} s; networks of "
         f"{calibrate['bytes']['network']:,} bytes, {calibrate['network_settings']} settings, in "
