@@ -14,6 +14,7 @@ from typing import Any
 
 from experiments import _distance_tables as distances
 from experiments import _first_tables as first
+from experiments import _gradient_tables as slopes
 from experiments import _overview_table as winners
 from experiments import _paper_tables as paper
 from experiments import _use_tables as uses
@@ -128,6 +129,15 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "pages": (uses.pages, "page"),
     "car": (uses.car, "portable"),
     "descent": (uses.descent, "descent"),
+    "traced_polygons": (
+        slopes.traced_polygons,
+        *(f"gradients.{part}" for part in ("exact", "differences", "speed")),
+    ),
+    "camar_distances": (slopes.camar_distances, "gradients.camar"),
+    "gradient_uses": (
+        slopes.gradient_uses,
+        *(f"gradients.{part}" for part in ("layout", "calibrate", "generate")),
+    ),
     "table2": (uses.table2, "table2"),
     "heuristics": (uses.heuristics, "table2"),
     "race": (uses.race, "race"),

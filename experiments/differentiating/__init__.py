@@ -1,0 +1,1 @@
+"""Sections of the experiment ``gradients``: distances whose walls, goals or stored values change."""
