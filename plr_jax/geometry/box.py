@@ -8,18 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import (
-    as_bool,
-    as_booleans,
-    as_finite_point,
-    as_numbers,
-    as_points,
-    format_numbers,
-    is_single,
-    require_integer,
-    set_fields,
-    shortened,
-)
+from plr_jax import _arrays
 from plr_jax._types import ArrayLike
 
 FreeFn: TypeAlias = Callable[[Float[np.ndarray, "n dim"]], ArrayLike]  # whether each point is free, (n,)
@@ -44,7 +33,7 @@ class Box:
     periodic: tuple[bool, ...]
 
     def __init__(self, lo: ArrayLike, hi: ArrayLike, periodic: ArrayLike | None = None):
-        lo, hi = as_finite_point("Box lo", lo), as_finite_point("Box hi", hi)
+        lo, hi = _arrays.as_finite_point("Box lo", lo), _arrays.as_finite_point("Box hi", hi)
         if lo.shape != hi.shape:
             raise ValueError(f"Box corners must have equal length, got lo of {lo.size} and hi of {hi.size} numbers.")
         if (is_flat := hi <= lo).any():
@@ -54,9 +43,11 @@ class Box:
         axes = (False,) * lo.size if periodic is None else periodic
         axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
         if len(axes) != lo.size:
-            raise ValueError(f"Box periodic must be {lo.size} bools, one per axis, got {shortened(periodic)}.")
-        periodic = tuple(as_bool("Each of Box periodic", axis) for axis in axes)
-        set_fields(self, lo=lo, hi=hi, periodic=periodic)
+            raise ValueError(
+                f"Box periodic must be {lo.size} bools, one per axis, got {_arrays.shortened(periodic)}."
+            )
+        periodic = tuple(_arrays.as_bool("Each of Box periodic", axis) for axis in axes)
+        _arrays.set_fields(self, lo=lo, hi=hi, periodic=periodic)
 
     @classmethod
     def of(cls, value: "Box | ArrayLike", name: str = "The box") -> "Box":
@@ -66,7 +57,9 @@ class Box:
         try:
             lo, hi = value
         except (TypeError, ValueError):
-            raise ValueError(f"{name} must be a Box or its corners (lo, hi), got {shortened(value)}.") from None
+            raise ValueError(
+                f"{name} must be a Box or its corners (lo, hi), got {_arrays.shortened(value)}."
+            ) from None
         return cls(lo, hi)
 
     @property
@@ -116,7 +109,7 @@ class Box:
 
         Points of another type or shape, also 64-bit points, are returned unchanged. Other results are 64-bit floats.
         """
-        if not is_single(x) or np.shape(x)[-1:] != (self.dim,):
+        if not _arrays.is_single(x) or np.shape(x)[-1:] != (self.dim,):
             return x
         single, (lo, hi) = np.asarray(x), self.in_single
         x = np.where((lo <= single) & (single <= hi), np.clip(single.astype(np.float64), self.lo, self.hi), single)
@@ -130,7 +123,7 @@ class Box:
             if not len(pending):
                 break
             candidates = x.reshape(-1, self.dim)[pending] + signs * steps[pending]
-            free = as_booleans("is_free", is_free(candidates), len(candidates))
+            free = _arrays.as_booleans("is_free", is_free(candidates), len(candidates))
             moved[pending[free]], pending = candidates[free], pending[~free]
         return moved.reshape(x.shape)
 
@@ -143,7 +136,7 @@ class Box:
 
         Along periodic axes, every finite coordinate lies in the box. NaN never does.
         """
-        x = as_points("x", x, self.dim)
+        x = _arrays.as_points("x", x, self.dim)
         inside = (self.lo <= x) & (x <= self.hi)
         if self.is_periodic:
             inside |= np.array(self.periodic) & np.isfinite(x)
@@ -186,7 +179,7 @@ class Box:
         return self.image_near(a, b) - np.asarray(b, np.float64)
 
     def _points(self, name: str, value: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        points = as_numbers(name, value, f"numbers of shape (..., {self.dim})")
+        points = _arrays.as_numbers(name, value, f"numbers of shape (..., {self.dim})")
         if points.shape[-1:] != (self.dim,):
             raise ValueError(f"{name} must have shape (..., {self.dim}), got {points.shape}.")
         return points
@@ -198,7 +191,7 @@ class Box:
         """
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
-        require_integer("resolution", resolution, 1)
+        _arrays.require_integer("resolution", resolution, 1)
         columns, rows = np.maximum(1, np.rint(resolution * self.width / self.width.max())).astype(int)
         x = self.lo[0] + self.width[0] * (np.arange(columns) + 0.5) / columns
         y = self.lo[1] + self.width[1] * (np.arange(rows) + 0.5) / rows
@@ -217,7 +210,7 @@ class Box:
         return self._written(self.lo.tolist(), self.hi.tolist())
 
     def __str__(self) -> str:
-        return self._written(format_numbers(self.lo), format_numbers(self.hi))
+        return self._written(_arrays.format_numbers(self.lo), _arrays.format_numbers(self.hi))
 
     def _written(self, lo: list[float], hi: list[float]) -> str:
         periodic = f", periodic={self.periodic}" if self.is_periodic else ""
@@ -238,16 +231,16 @@ class Slice:
         at = {} if at is None else at
         are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
         if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):
-            raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {shortened(at)}.")
+            raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {_arrays.shortened(at)}.")
         shown = [axis for axis in range(domain.dim) if axis not in at]
         if len(shown) != 2:
             raise ValueError(
                 f"A picture has two axes, so at must fix {domain.dim - 2} of {domain.dim} coordinates, got {len(at)}."
             )
         point = (domain.lo + domain.hi) / 2
-        point[list(at)] = as_finite_point("The coordinates of at", list(at.values())) if at else []
+        point[list(at)] = _arrays.as_finite_point("The coordinates of at", list(at.values())) if at else []
         if not domain.contains(point[None])[0]:
-            raise ValueError(f"at must lie in {domain}, got {shortened(dict(at))}.")
+            raise ValueError(f"at must lie in {domain}, got {_arrays.shortened(dict(at))}.")
         return cls(domain, (shown[0], shown[1]), domain.wrapped(point))
 
     @property

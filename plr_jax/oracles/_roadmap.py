@@ -12,18 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from tqdm import tqdm
 
-from plr_jax._arrays import (
-    as_booleans,
-    as_finite,
-    as_finite_point,
-    as_point,
-    as_points,
-    format_numbers,
-    parts,
-    ragged_indices,
-    require_integer,
-    set_fields,
-)
+from plr_jax import _arrays
 from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
@@ -118,14 +107,14 @@ def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray
     # The test is called only for configurations in the domain; others are not free.
     inside = domain.contains(x)
     if inside.any():
-        inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
+        inside[inside] = _arrays.as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
     return inside
 
 
 def _checked_is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, " n"]:
     if len(a) == 0:
         return np.zeros(0, dtype=bool)
-    return as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
+    return _arrays.as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
 
 
 def _is_visible_sampled(
@@ -148,8 +137,8 @@ def _is_visible_sampled(
     while stride := stride // 2:
         # Of the n - 1 points between n steps, (n - 1) // stride are multiples of the stride; the odd ones are new.
         num_tests = np.where(is_visible, (np.maximum(num_steps - 1, 0) // stride + 1) // 2, 0)
-        for rows in parts(num_tests, _BATCH):
-            row, test = ragged_indices(num_tests[rows])
+        for rows in _arrays.parts(num_tests, _BATCH):
+            row, test = _arrays.ragged_indices(num_tests[rows])
             motion = rows.start + row
             x = a[motion] + ((1 + 2 * test) * stride / num_steps[motion])[:, None] * change[motion]
             is_visible[motion[~is_free(x)]] = False
@@ -211,17 +200,17 @@ class Roadmap:
         weights: ArrayLike | None = None,
     ):
         # 1. Check the arguments, and wrap the tests so that they check answers.
-        require_integer("num_samples", num_samples, 1)
+        _arrays.require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
         is_free = partial(_checked_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
-        weights = np.ones(domain.dim) if weights is None else as_finite_point("weights", weights, domain.dim)
+        weights = np.ones(domain.dim) if weights is None else _arrays.as_finite_point("weights", weights, domain.dim)
         if (weights <= 0).any():
             raise ValueError(f"weights must be positive, one per axis, got {weights.tolist()}.")
         metric = Metric(domain, weights)
         if (is_visible is None) == (resolution is None):
             raise ValueError("Give is_visible, an exact test of motions, or resolution, the step of a sampled test.")
         if is_visible is None:
-            step = as_finite("resolution", resolution, positive=True)
+            step = _arrays.as_finite("resolution", resolution, positive=True)
             is_visible = partial(_is_visible_sampled, metric, is_free, step)
         else:
             is_visible = partial(_checked_is_visible, domain, is_visible)
@@ -232,12 +221,12 @@ class Roadmap:
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
         tree = metric.tree(vertices)
         graph = Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths)
-        set_fields(self, domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
+        _arrays.set_fields(self, domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
         self._search(graph, tree)
 
     def __repr__(self) -> str:
         vertices, edges = len(self.graph.vertices), len(self.graph.edges)
-        goal = format_numbers(self.graph.vertices[0])
+        goal = _arrays.format_numbers(self.graph.vertices[0])
         return f"Roadmap({self.domain}, goal={goal}, {vertices} vertices, {edges} edges)"
 
     @classmethod
@@ -248,7 +237,7 @@ class Roadmap:
         oracle = cls(
             workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible
         )
-        set_fields(oracle, _workspace=workspace)
+        _arrays.set_fields(oracle, _workspace=workspace)
         return oracle
 
     def reach(self, domain: Box) -> Reach | None:
@@ -279,7 +268,7 @@ class Roadmap:
     def _search(self, graph: Graph, tree: KDTree) -> None:
         distances, parents = dijkstra(graph, 0)
         graph.vertices.flags.writeable = distances.flags.writeable = False
-        set_fields(self, graph=graph, distances=distances, _parents=parents, _tree=tree)
+        _arrays.set_fields(self, graph=graph, distances=distances, _parents=parents, _tree=tree)
 
     @property
     def goal(self) -> Float[np.ndarray, "dim"]:
@@ -303,7 +292,7 @@ class Roadmap:
         within 2, 4, ... times the radius are tried. The distance is ``inf`` for a point that is not free, is outside
         the domain, has a NaN, or sees no vertex from which the goal can be reached.
         """
-        return self._first_vertices(as_points("x", self._settled(x), self.dim))[0]
+        return self._first_vertices(_arrays.as_points("x", self._settled(x), self.dim))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """Return the path from a point ``(dim,)`` to the goal along the roadmap, as vertices ``(m, dim)``.
@@ -312,7 +301,7 @@ class Roadmap:
         the length is ``inf``. Along periodic axes, vertices are wrapped into the domain, and the path goes the short
         way around.
         """
-        x = self.domain.wrapped(as_point("The start", self._settled(x), self.dim)[None])
+        x = self.domain.wrapped(_arrays.as_point("The start", self._settled(x), self.dim)[None])
         distance, first = self._first_vertices(x)
         if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
@@ -373,7 +362,7 @@ class Roadmap:
 
 
 def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, " dim"]:
-    goal = domain.wrapped(as_finite_point("The goal", domain.settled(goal, is_free), domain.dim))
+    goal = domain.wrapped(_arrays.as_finite_point("The goal", domain.settled(goal, is_free), domain.dim))
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is outside the domain {domain}; move it inside.")
     if not is_free(goal[None])[0]:

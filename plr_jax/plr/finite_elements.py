@@ -22,16 +22,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Distances, Points
-from plr_jax.plr.leaf_faces import (
-    Indices,
-    Pairs,
-    SharedFaces,
-    check_num_weights,
-    corner_parents,
-    eliminate_constraints,
-    face_points,
-    resolve_constraints,
-)
+from plr_jax.plr import leaf_faces
+from plr_jax.plr.leaf_faces import Indices, Pairs, SharedFaces
 from plr_jax.plr.tree import Cells, Tree, corner_bits
 
 if TYPE_CHECKING:
@@ -93,7 +85,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     num_leaves, dim = len(tree.leaves), tree.leaves.dim
     num_nodes = num_leaves << dim
     most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * num_leaves)
-    check_num_weights(len(tied) * 2 ** (dim - 1), most)
+    leaf_faces.check_num_weights(len(tied) * 2 ** (dim - 1), most)
     # 1. Constraint points, as points of both leaves: index 0 on the first axis of these arrays is the leaf below the
     #    face, index 1 the leaf above it. `t` is the position in the leaf, from 0 to 1 along each axis.
     points = [_face_corners(tree.leaves, tied[tied.axis == axis], axis) for axis in range(dim)]
@@ -116,7 +108,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     hanging, first_point = np.unique(group[node[hangs]], return_index=True)
     host_leaf, host_t = other_leaf[hangs][first_point], other_t[hangs][first_point]
     step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
-    of_groups = resolve_constraints(step, hanging)
+    of_groups = leaf_faces.resolve_constraints(step, hanging)
     # 4. Level of a group, from its first node.
     level = _node_levels(tree.leaves)[np.sort(first_node)]
     # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there:
@@ -125,12 +117,12 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     # solutions turns any values into values that satisfy all rows.
     if dim > 2:
         row = np.flatnonzero(~is_shared)
-        check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
+        leaf_faces.check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
         shape = len(row), num_groups
         below, above = (_interpolation(group, leaf[i, row], t[i, row], np.arange(len(row)), shape) for i in range(2))
         rows = csr_array(below - above)
-        check_num_weights(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
-        of_groups = of_groups @ eliminate_constraints(csr_array(rows @ of_groups), level, _GROWTH * most)
+        leaf_faces.check_num_weights(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
+        of_groups = of_groups @ leaf_faces.eliminate_constraints(csr_array(rows @ of_groups), level, _GROWTH * most)
     # 6. Free degrees of freedom: groups of reachable leaves that depend on no other group.
     is_reachable = np.isin(np.arange(num_groups), group.reshape(num_leaves, -1)[~unreachable])
     free_dofs = np.flatnonzero(is_reachable & (of_groups.diagonal() == 1))
@@ -151,7 +143,7 @@ def _face_corners(cells: Cells, faces: SharedFaces, axis: int) -> tuple[Pairs, F
     """
     corners = corner_bits(cells.dim)
     places = corners[corners[:, axis] == 0].astype(float)  # in a face
-    x = face_points(cells, faces, places).reshape(-1, cells.dim)  # in fractions of the domain
+    x = leaf_faces.face_points(cells, faces, places).reshape(-1, cells.dim)  # in fractions of the domain
     leaf = np.repeat(np.stack([faces.lower, faces.upper]), len(places), axis=1)
     t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]  # in fractions of the leaf
     t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
@@ -177,7 +169,7 @@ def _edge_means(tree: Tree, unreachable: Bool[np.ndarray, " leaves"], dof: Indic
     """
     from scipy.sparse import csr_array
 
-    ends, is_made = corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
+    ends, is_made = leaf_faces.corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
     row = np.broadcast_to(dof.reshape(is_made.shape)[..., None], ends.shape)
     counts = is_made[..., None] & ~unreachable[ends >> tree.cells.dim] & ~unreachable[:, None, None] & (row >= 0)
     weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=num_dofs), 1)
@@ -280,7 +272,7 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     num_groups, num_kinds = int(space.group.max()) + 1, 1 << space.dim
     index = np.arange(num_groups * num_kinds).reshape(num_groups, num_kinds)
     # 1. Compute D at groups that do not hang, then at hanging groups.
-    of_groups = resolve_constraints(_host_derivatives(space, index), index[space.hanging].ravel())
+    of_groups = leaf_faces.resolve_constraints(_host_derivatives(space, index), index[space.hanging].ravel())
     of_groups = of_groups @ _mean_derivatives(space, index)
     # 2. Coefficients of all leaves, by corner, then kind: 2**-(h . k) * D[group of c, k].
     depth = np.repeat(space.tree.leaves.depth, num_kinds, axis=0)  # h, of each node's leaf

@@ -15,7 +15,7 @@ from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, GridPaths, convex_corners
 from plr_jax.traced.corner_paths import CornerPairs
-from plr_jax.traced.fields import as_array, as_points, distance, finite, require_one_map
+from plr_jax.traced.fields import as_array, as_floats, as_points, distance, finite, require_one_map
 from plr_jax.traced.steps import MOST_CELLS, Mask, StepPairs, Steps
 
 Moves = Literal["any-angle", 4, 8]
@@ -203,6 +203,4 @@ def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "
             "for the center of a cell, or pass floats if you mean a corner."
         )
         warnings.warn(message, stacklevel=3)  # the line that calls grid_distance or the field
-    default = jax.dtypes.canonicalize_dtype(np.float64)
-    is_wide = [jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize >= 4 for x in points.values()]
-    return [x if wide else x.astype(default) for x, wide in zip(points.values(), is_wide, strict=True)]
+    return [as_floats(x) for x in points.values()]

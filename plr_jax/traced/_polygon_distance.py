@@ -14,7 +14,7 @@ from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.traced.corner_paths import CornerPairs, CornerPaths
-from plr_jax.traced.fields import FAR, as_array, as_points, distance, finite, require_one_map
+from plr_jax.traced.fields import FAR, as_array, as_floats, as_points, distance, finite, require_one_map
 from plr_jax.traced.polygons import PolygonCorners
 
 MOST_VERTICES = 256  # tests of sight grow with the cube of the number of vertices
@@ -41,7 +41,7 @@ class PolygonDistance:
         return _distance(self, as_points("x", x))
 
     def __repr__(self) -> str:
-        return f"PolygonDistance({_size(self.paths.corners)}, {self.paths.goals.shape[-2]} goals)"
+        return f"PolygonDistance({self.paths.corners}, {self.paths.goals.shape[-2]} goals)"
 
 
 @pytree
@@ -64,12 +64,7 @@ class PolygonDistances:
         return _distance(self, x, y)
 
     def __repr__(self) -> str:
-        return f"PolygonDistances({_size(self.paths.corners)})"
-
-
-def _size(corners: PolygonCorners) -> str:
-    m, k, _ = corners.vertices.shape[-3:]
-    return f"{m} polygons of up to {k} vertices"
+        return f"PolygonDistances({self.paths.corners})"
 
 
 @overload
@@ -111,7 +106,7 @@ def polygon_distance(
         bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked. None:
             the whole plane, up to coordinates of 1e17.
     """
-    polygons = _as_floats(as_points("polygons", polygons))
+    polygons = as_floats(as_points("polygons", polygons))
     if polygons.ndim != 3:
         raise ValueError(f"polygons must have shape (m, k, 2), got {polygons.shape}: use jax.vmap for several maps.")
     if (count := polygons.shape[0] * polygons.shape[1]) > MOST_VERTICES:
@@ -120,15 +115,17 @@ def polygon_distance(
             f"shape {polygons.shape}: use VisibilityGraph, whose vertex_gradient has the derivatives."
         )
     if goal is not None:
-        goal = _as_floats(as_points("goal", goal))
+        goal = as_floats(as_points("goal", goal))
         if goal.ndim > 2 or not goal.size:
             raise ValueError(f"goal must have shape (2,) or (g, 2) with g >= 1, got {goal.shape}.")
         goal = goal.reshape(-1, 2)
     if bounds is None:
         bounds = ((-FAR / 10, -FAR / 10), (FAR / 10, FAR / 10))
     elif isinstance(bounds, Box):
+        if bounds.is_periodic:
+            raise ValueError(f"bounds must not have periodic axes, got {bounds}.")
         bounds = np.stack([bounds.lo, bounds.hi])
-    bounds = _as_floats(as_array(bounds, "bounds must be a Box or its corners, (2, 2)"))
+    bounds = as_floats(as_points("bounds", bounds))
     if bounds.shape != (2, 2):
         raise ValueError(f"bounds must be a Box or its corners ((x0, y0), (x1, y1)), got shape {bounds.shape}.")
     return _make(polygons, goal, bounds)
@@ -142,8 +139,8 @@ def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -
     outside the disc for 16. ``ValueError`` for other arguments.
     """
     require_integer("corners", corners, 3)
-    centers = _as_floats(as_points("centers", centers))
-    radii = _as_floats(as_array(radii, "radii must be a number or (m,)"))
+    centers = as_floats(as_points("centers", centers))
+    radii = as_floats(as_array(radii, "radii must be a number or (m,)"))
     if centers.ndim != 2 or radii.shape not in ((), (len(centers),)):
         raise ValueError(f"centers must be (m, 2), radii a number or (m,), got {centers.shape} and {radii.shape}.")
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
@@ -176,11 +173,5 @@ def _make(
 
 @jax.jit
 def _distance(field: PolygonDistance | PolygonDistances, *points: Array | np.ndarray) -> Float[Array, "*batch"]:
-    moved = [x.astype(jnp.promote_types(x.dtype, field.origin.dtype)) for x in map(_as_floats, points)]
+    moved = [x.astype(jnp.promote_types(x.dtype, field.origin.dtype)) for x in map(as_floats, points)]
     return distance(field, *(x - jnp.broadcast_to(field.origin.astype(x.dtype), x.shape) for x in moved))
-
-
-def _as_floats(value: Array | np.ndarray) -> Array | np.ndarray:
-    """Convert numbers to floats of at least 32 bits."""
-    is_wide = jnp.issubdtype(value.dtype, jnp.floating) and value.dtype.itemsize >= 4
-    return value if is_wide else value.astype(jax.dtypes.canonicalize_dtype(np.float64))

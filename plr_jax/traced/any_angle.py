@@ -31,31 +31,17 @@ MAX_LATTICE = 2**8
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return the least distance, in cell widths, that :func:`inside_free_cells` keeps to the sides of a cell.
+    """Return the least distance, in cell widths, that :meth:`GridCorners.placed` keeps to the sides of a cell.
 
     The margin is 32 times the machine epsilon of ``dtype``, times the larger number in ``shape``.
     """
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
-def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Move each point into two free cells around it: the first and the last of up to four cells.
-
-    Both cells are the same if only one is free. Return the moved points, ``(..., 2, 2)``, and whether the point is in
-    the grid and has a free cell around it.
-    """
-    (rows, columns), is_inside = containing_cells(free.shape, x)
-    is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
-    which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])  # first and last free cell
-    cell = jnp.moveaxis(jnp.take_along_axis(cells, which[..., None], axis=0), 0, -2).astype(x.dtype)
-    inset = margin(free.shape, x.dtype)
-    return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_inside & is_free.any(axis=0)
-
-
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
     """Return whether each segment from ``a`` to ``b`` crosses no cell of ``blocked``, a grid packed by :func:`pack`.
 
-    The ends must be inside of cells, as :func:`inside_free_cells` returns them.
+    The ends must be inside of cells, as :meth:`GridCorners.placed` returns them.
     """
     # In each row of cells, a segment crosses the columns from `first` to `last`. In a word of 32 columns these are
     # the bits from `begin` to `end`: all ones shifted up to `begin`, and those shifted down to `end`.
@@ -205,7 +191,17 @@ class GridCorners:
         return is_unobstructed(pack(~self.free), self.free.shape, a, b)
 
     def placed(self, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-        return inside_free_cells(self.free, x)
+        """Move each point into two free cells around it: the first and the last of up to four cells.
+
+        Both cells are the same if only one is free. Return the moved points, ``(..., 2, 2)``, and whether the point
+        is in the grid and has a free cell around it.
+        """
+        (rows, columns), is_inside = containing_cells(self.free.shape, x)
+        is_free, cells = self.free[rows, columns], jnp.stack([columns, rows], axis=-1)
+        which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])  # first and last free cell
+        cell = jnp.moveaxis(jnp.take_along_axis(cells, which[..., None], axis=0), 0, -2).astype(x.dtype)
+        inset = margin(self.free.shape, x.dtype)
+        return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_inside & is_free.any(axis=0)
 
     def see_each_other(self, a: Float[Array, "*#batch 2 2"], b: Float[Array, "*#batch 2 2"]) -> Bool[Array, "..."]:
         return self._are_free(_end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2)))
@@ -218,7 +214,7 @@ class GridCorners:
         if self._is_lattice:
             table = crossed_cells(self.free.shape, from_centers=True)
             return are_unobstructed(table, pack(~self.free.reshape(1, -1))[0])
-        return self.seen_from(inside_free_cells(self.free, jnp.asarray(cell_centers(self.free.shape), dtype))[0])
+        return self.seen_from(self.placed(jnp.asarray(cell_centers(self.free.shape), dtype))[0])
 
     def lengths(self, dtype: jnp.dtype) -> Float[Array, "corners corners"]:
         """Return the matrix of distances between convex corners that see each other; ``inf`` for all other pairs."""

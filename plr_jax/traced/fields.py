@@ -64,3 +64,9 @@ def as_array(value: ArrayLike, expected: str) -> Array | np.ndarray:
         return jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{expected}, got {shortened(value)}.") from None
+
+
+def as_floats(value: Array | np.ndarray) -> Array | np.ndarray:
+    """Convert numbers to floats of at least 32 bits."""
+    is_wide = jnp.issubdtype(value.dtype, jnp.floating) and value.dtype.itemsize >= 4
+    return value if is_wide else value.astype(jax.dtypes.canonicalize_dtype(np.float64))

@@ -71,6 +71,10 @@ class PolygonCorners:
         ends = corners._ends()
         return replace(corners, is_convex=is_convex & ~corners._are_inside(ends) & corners._are_in_bounds(ends))
 
+    def __repr__(self) -> str:
+        m, k = self.vertices.shape[-3:-1]
+        return f"{m} polygons of up to {k} vertices"
+
     def points(self, dtype: Any) -> Float[Array, "corners 2"]:
         return self.vertices.reshape(-1, 2).astype(dtype)
 

@@ -16,14 +16,14 @@ from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.base import LinearLeafModel
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
-from plr_jax.plr.leaves.plane import Plane, quantize
+from plr_jax.plr.leaves.plane import IndependentLeafModel, quantize
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tables import build_tables
 from plr_jax.plr.tree import Cells, tree_of, tree_of_axes
 
 UNIT = Box([0, 0], [1, 1])
 LINEAR = [name for name in leaf_names() if isinstance(leaf_model(name), LinearLeafModel)]  # all but cones
-INDEPENDENT = [name for name in LINEAR if isinstance(leaf_model(name), Plane)]  # may jump anywhere
+INDEPENDENT = [name for name in LINEAR if isinstance(leaf_model(name), IndependentLeafModel)]  # may jump anywhere
 PROVEN = [name for name in leaf_names() if leaf_model(name).splits_by_proven_error]
 
 

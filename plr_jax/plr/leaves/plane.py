@@ -1,10 +1,11 @@
-"""Planes, each fitted to the samples of its leaf alone: growth and files.
+"""Planes, and the base class of all leaf models that fit each leaf to its own samples alone: growth and files.
 
 The tree grows best first. A file stores coefficients as scaled integers or as 32-bit floats; ``portable/FORMAT.md``
 describes the bits. All coefficients but the first, the value at the center, shrink as cells are halved. So the file
 has a bit width for each of these coefficients and each number of halvings.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,15 +21,8 @@ from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, Corner, table_corners
 from plr_jax.plr.growth import Encoding, Limits, Nodes, grow_best_first, largest_error, nodes_of_fit
-from plr_jax.plr.leaves.base import (
-    UNIT,
-    Coefficients,
-    LinearLeafModel,
-    Parameters,
-    Rules,
-    largest_coordinates,
-    read_step,
-)
+from plr_jax.plr.leaves import base
+from plr_jax.plr.leaves.base import Coefficients, Parameters
 from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
 from plr_jax.plr.sizes import MOST_ROWS
 from plr_jax.plr.tree import Cells, Tree, tree_of
@@ -58,13 +52,13 @@ class StoredCoefficients:
     def unreachable(self) -> Bool[np.ndarray, " leaves"]:
         return self.center == unreachable_code(self.bits)
 
-    def widths(self, depth: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each of the ``others``, the bits per number in leaves halved 0, 1, ... times along its axis."""
+    def widths(self, halvings: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
+        """Return, for each of the ``others``, the bits per number in leaves of 0, 1, ... ``halvings``."""
         # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
-        for index, most in enumerate(depth.max(axis=0)):
+        for index, most in enumerate(halvings.max(axis=0)):
             largest = np.zeros(most + 1, np.int64)
-            np.maximum.at(largest, depth[:, index], np.abs(self.others[:, index]))
+            np.maximum.at(largest, halvings[:, index], np.abs(self.others[:, index]))
             bits = np.frexp(largest)[1] + (largest > 0)
             widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
         return widths
@@ -107,25 +101,16 @@ def quantize(center: Distances, others: Coefficients, bits: int) -> StoredCoeffi
 
 
 @dataclass(frozen=True)
-class Plane(LinearLeafModel):
-    """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
+class IndependentLeafModel(base.LinearLeafModel):
+    """A base class of leaf models that fit the function of each leaf to the samples in this leaf alone.
 
-    The plane of a leaf is fitted to the samples in this leaf alone. Coefficients are the value at a leaf's center,
-    then half of the rise across the leaf along each axis.
-
-    Args:
-        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Slopes usually
-            take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from 8 to 16 with the
-            smallest expected error of fit and rounding. Other values raise ``ValueError``.
+    Functions may jump between leaves. The first coefficient is the value at a leaf's center. The others shrink as the
+    cell is halved: see :meth:`halvings`. There are ``min_samples(dim)`` coefficients. ``coefficient_bits`` is the
+    number of bits of a stored center value, as in :class:`Plane`.
     """
 
     coefficient_bits: int | None = None
-    name = "plane"
-    num_samples = 192
-    least_bytes = 2
-    has_exact_cone_bounds = True
     splits_by_proven_error = True
-    has_compact_code = True
 
     def __post_init__(self):
         bits, allowed = self.coefficient_bits, (FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1))
@@ -133,19 +118,34 @@ class Plane(LinearLeafModel):
             expected = f"an integer, {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}"
             raise ValueError(f"coefficient_bits must be {expected}, got {bits!r}.")
 
+    @abstractmethod
+    def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
+        """Return the number of halvings that have shrunk each coefficient but the first of each leaf.
+
+        For planes, this is the depth along the coefficient's axis. In a file, coefficients that have the same index
+        and as many halvings have one bit width.
+        """
+
+    def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:
+        """Fit a function to the samples of each cell; return its coefficients, and the fit with its residuals.
+
+        By default, functions are the planes of ``fit``, which a cell without samples that reach the goal may have,
+        too. If the center value of a plane is ``inf``, the first coefficient must be ``inf``.
+        """
+        return fit, self.coefficients_of_planes(fit.center, fit.half)
+
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         # 32 KB allow 9 halvings along each axis of the plane; deep cells next to the goal have smaller errors.
         return max(self.min_samples(dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
 
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCoefficients, None]:
+    def construct(self, sampler: Sampler, rules: base.Rules, limits: Limits) -> tuple[Tree, StoredCoefficients, None]:
         by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
         # 1. Nodes of the tree are cells with functions and priorities: proven errors if possible, else the rule's.
         def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
-            fit = fill_unsampled_planes(fit, sampler)
-            coefficients = self.coefficients_of_planes(fit.center, fit.half)
+            fit, coefficients = self.fit_functions(fill_unsampled_planes(fit, sampler))
             if by_proof and sampler.cache is not None:
                 finite = np.where(np.isfinite(coefficients), coefficients, 0.0)
                 functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), finite)
@@ -155,8 +155,8 @@ class Plane(LinearLeafModel):
             return nodes_of_fit(fit, coefficients, parent_key, priority, np.asarray(rules.split(fit)), limits)
 
         # 2. The bits per value decide the size of a file and its rounding errors. The error of a coefficient has the
-        # variance step**2 / 12, and each but the first is multiplied by a coordinate from -1 to 1, whose square has
-        # the mean 1/3. So the variance of a plane is step**2 / 12 * (1 + others / 3).
+        # variance step**2 / 12, and each but the first is multiplied by a function. For planes, this is a coordinate
+        # from -1 to 1, whose square has the mean 1/3. Others are taken to be alike: step**2 / 12 * (1 + others / 3).
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredCoefficients:
             return quantize(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
@@ -178,7 +178,8 @@ class Plane(LinearLeafModel):
         return tree, stored(nodes, leaf[tree.order], bits), None
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCoefficients) -> None:
-        is_reachable, widths = ~stored.unreachable, stored.widths(cells.depth)
+        is_reachable, halvings = ~stored.unreachable, self.halvings(cells)
+        widths = stored.widths(halvings)
         body.write(np.array([stored.bits]), _WIDTH_BITS)
         if stored.bits != FLOAT_BITS:
             body.write_floats(np.array([stored.offset, stored.step]))
@@ -186,7 +187,7 @@ class Plane(LinearLeafModel):
             body.write(each, _WIDTH_BITS)
         body.write(stored.center, stored.bits)
         for index, each in enumerate(widths):
-            width = each[cells.depth[is_reachable, index]]
+            width = each[halvings[is_reachable, index]]
             body.write(stored.others[is_reachable, index] & ((1 << width) - 1), width)  # two's complement
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredCoefficients:
@@ -194,14 +195,15 @@ class Plane(LinearLeafModel):
         if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
             raise ValueError(f"it states {bits}-bit values")
         if bits != FLOAT_BITS:
-            offset, step = read_step(body)
-        widths = [body.read_fixed_width(int(most) + 1, _WIDTH_BITS) for most in cells.depth.max(axis=0)]
+            offset, step = base.read_step(body)
+        halvings = self.halvings(cells)
+        widths = [body.read_fixed_width(int(most) + 1, _WIDTH_BITS) for most in halvings.max(axis=0)]
         if max(each.max() for each in widths) > FLOAT_BITS:
             raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-        center, others = body.read_fixed_width(len(cells), bits), np.zeros(cells.depth.shape, np.int64)
+        center, others = body.read_fixed_width(len(cells), bits), np.zeros(halvings.shape, np.int64)
         is_reachable = center != unreachable_code(bits)
         for index, each in enumerate(widths):
-            width = each[cells.depth[is_reachable, index]]
+            width = each[halvings[is_reachable, index]]
             code = body.read(width)  # two's complement
             others[is_reachable, index] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
         return StoredCoefficients(bits, offset, step, center, others)
@@ -224,6 +226,27 @@ class Plane(LinearLeafModel):
         choices = *range(MIN_BITS, MAX_BITS + 1), FLOAT_BITS
         quantized = (quantize(numbers[:, 0], numbers[:, 1:], bits) for bits in choices)
         return next(each for each in quantized if each.step <= step or each.bits == FLOAT_BITS)
+
+
+class Plane(IndependentLeafModel):
+    """The leaf model ``"plane"``: one plane (affine function) in every leaf; the function may jump between leaves.
+
+    Coefficients are the value at a leaf's center, then half of the rise across the leaf along each axis.
+
+    Args:
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Slopes usually
+            take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from 8 to 16 with the
+            smallest expected error of fit and rounding. Other values raise ``ValueError``.
+    """
+
+    name = "plane"
+    num_samples = 192
+    least_bytes = 2
+    has_exact_cone_bounds = True
+    has_compact_code = True
+
+    def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
+        return cells.depth
 
     def basis(self, u: Points) -> Coefficients:
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
@@ -250,7 +273,7 @@ class Plane(LinearLeafModel):
         # Coordinates have absolute errors. The factor 1.01 covers products of these errors.
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         terms = parameters[:, 0] + parameters[:, 1:] @ domain.width
-        return 1.01 * UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ largest_coordinates(domain))
+        return 1.01 * base.UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ base.largest_coordinates(domain))
 
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         value, *slopes = parameters
