@@ -4,8 +4,6 @@
   may turn first. Only the few walls between the leaf and such a corner can hide the corner. :func:`near_entries`
   finds these walls, first for runs of neighbor leaves, then for ever shorter runs: a wall that is not between a large
   box and a corner is not between a part of the box and the corner.
-- Occluders are long chords inside obstacles. If the segment between two points crosses an occluder, an obstacle hides
-  the points from each other. Tests of a few dozen occluders replace most tests of walls.
 - :func:`updated` recomputes only some rows of an array, in batches.
 """
 
@@ -22,10 +20,8 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._arrays import padded, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax._compiled import pytree
-from plr_jax.geometry.box import Box
 from plr_jax.pairs.portable import crossings
 
-# Near walls.
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
 _STEP = 4  # the number of walls read for every entry is a multiple of this: fewer functions are compiled
 _SHORT = 4  # walls of an entry that are tested first; few entries have more
@@ -37,12 +33,6 @@ _AT_ONCE = 2**15  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
 _MOST_TESTS = 2**25  # tests of a block of walls in one round
 _MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memory
-# Occluders.
-_PAIRS = 2**12  # random pairs of points by which occluders are chosen
-_MOST_VERTICES = 96  # vertices of an obstacle between which chords are tried
-_TRIED_CHORDS = 768  # longest chords of an obstacle that are tested, of up to 96 * 95 / 2
-_MOST_CHORDS = 64  # chords of an obstacle that are kept
-_CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
 State = TypeVar("State")
 Points = Float[Array, "n 2"]
@@ -296,79 +286,3 @@ def _near_pairs(
     for dx, dy, limit in (of_lines[:3], of_lines[3:]):
         is_apart |= np.maximum(dx * ay - dy * ax, dx * by - dy * bx) < limit
     return pairs[~is_apart]
-
-
-def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
-    """Choose occluders: segments at least ``depth`` inside obstacles that hide many points from one another.
-
-    ``region`` is free space, a Shapely geometry. A row ``(ax, ay, bx, by, nx, ny, offset)`` of the result has both
-    ends of an occluder, relative to the middle of the domain, and a linear function ``nx x + ny y - offset``. The
-    function is 0 on the occluder's line. Points with a value above 1 or below -1 are on a side that rounding cannot
-    change. Each occluder hides at least a share of ``2 / num_walls`` of random pairs of free points, so that it saves
-    more tests of walls than it costs.
-    """
-    import shapely  # other queries do not need Shapely
-
-    # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
-    rng = np.random.default_rng(0)
-    obstacles = shapely.difference(shapely.box(*domain.lo, *domain.hi), region)
-    solid = shapely.buffer(obstacles, -depth, join_style="mitre")
-    inner_chords = [np.zeros((0, 2, 2))]
-    for part in shapely.get_parts(solid):
-        vertices = np.unique(shapely.get_coordinates(part), axis=0)
-        vertices = vertices[rng.permutation(len(vertices))[:_MOST_VERTICES]]
-        ends = vertices[np.stack(np.triu_indices(len(vertices), 1), axis=1)]
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        ends = ends[np.argsort(-length, kind="stable")[:_TRIED_CHORDS]]
-        shapely.prepare(part)
-        inner_chords.append(ends[shapely.covers(part, shapely.linestrings(ends))][:_MOST_CHORDS])
-    chords = np.concatenate(inner_chords)
-    # 2. Draw random free pairs, and find the chords that their segments cross.
-    x, y = domain.lo + rng.random((2, _PAIRS, 2)) * domain.width
-    shapely.prepare(region)
-    is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
-    p, q = x[is_free].T, y[is_free].T
-    a, b = chords.transpose(1, 2, 0)[..., None]  # coordinates (2, chords, 1); p and q have the shape (2, pairs)
-
-    def left_of(a: Any, b: Any, p: Any) -> Any:
-        (ax, ay), (bx, by), (px, py) = a, b, p
-        return (bx - ax) * (py - ay) - (by - ay) * (px - ax) > 0
-
-    crosses = (left_of(a, b, p) != left_of(a, b, q)) & (left_of(p, q, a) != left_of(p, q, b))
-    # 3. Choose greedily the chord that hides most of the remaining pairs.
-    chosen = []
-    while crosses.any():
-        hidden = crosses.sum(axis=1)
-        best = int(hidden.argmax())
-        if hidden[best] * num_walls < 2 * is_free.sum():
-            break
-        chosen.append(best)
-        crosses &= ~crosses[best]
-    # 4. Describe each occluder: the linear function is the distance from its line, in units of `_CLEAR` widths.
-    ends = chords[chosen] - (domain.lo + domain.hi) / 2
-    along = ends[:, 1] - ends[:, 0]
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
-    beside = np.column_stack([normal, (normal * ends[:, 0]).sum(axis=1)]) / (_CLEAR * float(domain.width.max()))
-    return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
-
-
-def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
-    """Return whether each segment from ``x[i]`` to ``y[i]`` crosses an occluder, whatever the rounding.
-
-    Each group of ``occluders`` has 16 rows as :func:`occluders_of` returns. Points are relative to the middle of the
-    domain.
-    """
-    # A segment p-q crosses the occluder a-b if p and q are on two sides of the occluder's line, and a and b on two
-    # sides of the line p-q: one of d x a and d x b is at least the moment d x p, the other less, with d = q - p.
-    (px, py), (qx, qy) = x.T, y.T
-    dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
-
-    def meets(hidden, group):
-        for ax, ay, bx, by, nx, ny, offset in group:
-            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
-            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
-            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
-        return hidden, None
-
-    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float, UInt32
 
 from plr_jax._arrays import padded_size
 from plr_jax._compiled import part_by_part, pytree
-from plr_jax.pairs.occlusion import Flags, Points, Rows, is_across_occluder, updated
+from plr_jax.pairs.occlusion import Flags, Points, Rows, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
@@ -260,18 +260,16 @@ def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corne
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
     """Return whether obstacles hide points ``x[i]`` and ``y[i]`` from each other.
 
-    Occluders decide most pairs, walls decide the others. Points are relative to the middle of the domain.
+    Points are relative to the middle of the domain.
     """
     # Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
     # another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another.
     # It counts only if `tables.is_certain`: then paths must be certainly free.
-    #
-    # 1. Test the occluders.
-    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
+    size = x.shape[0]
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
 
-    # 2. Test the walls, group by group.
+    # Test the walls, group by group.
     def cross(crossed: _Crossed, walls: Any, x: Points, y: Points) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
@@ -288,12 +286,12 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
         along_x, along_y, to_x, to_y = jnp.abs(dx), jnp.abs(dy), middle_x - px, middle_y - py
         meets = (jnp.abs(dx - 2 * to_x) <= along_x + 2 * half_x) & (jnp.abs(dy - 2 * to_y) <= along_y + 2 * half_y)
         meets &= jnp.abs(dx * to_y - dy * to_x) <= along_x * half_y + along_y * half_x
-        is_open = meets & ~hidden & ~(crossed[0] & crossed[1])
+        is_open = meets & ~(crossed[0] & crossed[1])
         return updated(crossed, is_open, _TESTED, lambda crossed, *ends: cross(crossed, walls, *ends), x, y), None
 
     none, walls = jnp.zeros(size, bool), tables.walls
     goes_in, goes_out = jax.lax.scan(cross_group, (none, none), (walls.groups, walls.boxes))[0]
-    return hidden | (goes_in | goes_out if tables.is_certain else goes_in & goes_out)
+    return goes_in | goes_out if tables.is_certain else goes_in & goes_out
 
 
 def is_inside(tables: PairTables, x: Points) -> Flags:

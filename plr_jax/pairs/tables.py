@@ -12,14 +12,13 @@ from jaxtyping import Array, Float, UInt16, UInt32
 from plr_jax._arrays import padded, ragged_indices, size_in_eighths
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.occlusion import NearWalls, occluders_of
+from plr_jax.pairs.occlusion import NearWalls
 from plr_jax.pairs.portable import MARGIN, RECEDING, MovedObstacles
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.tables import Tables, build_tables
 
-_UNROLLED = 16  # occluders tested in one step of a loop
 _CLUSTER = 32  # neighboring walls in a box, tested in one step of a loop
 _PATHS_AT_ONCE = 2**16  # paths from corners to leaves that fit into caches
 STEEPEST = 127  # slope of a bound that rises by 1 for each unit of length, in the numbers of `PairTables.onward`
@@ -43,7 +42,6 @@ class PairTables:
 
     partition: Tables
     walls: Walls  # moved into obstacles a little
-    occluders: Float[Array, "groups_of_occluders 16 7"]  # segments inside obstacles (`occluders_of`)
     near: NearWalls | None  # walls that may hide a listed corner; None if they are too many to save time
     x: Float[Array, "leaves longest"]  # of the corners that each leaf lists, padded with `inf`
     y: Float[Array, "leaves longest"]
@@ -90,12 +88,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), num_corners, np.uint16)
     listed[ragged_indices(lengths)] = stored.listed
-    # 2. Choose occluders deeper inside obstacles than walls move back, and find walls near listed corners.
-    try:
-        depth = 4 * RECEDING * width
-        occluders = occluders_of(stored.outline.region, stored.domain, depth, len(stored.outline.points))
-    except ValueError:  # the file has details finer than its lattice: only walls block sight
-        occluders = np.zeros((0, 7))
+    # 2. Find walls near listed corners.
     lo, hi = cells.grown_boxes(domain)
     margin = MARGIN * width
     near = NearWalls.of(
@@ -105,10 +98,6 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing
 
-    def in_groups(rows: Float[np.ndarray, "n columns"], chunk: int) -> Float[Array, "groups {chunk} columns"]:
-        groups = size_in_eighths(-(-len(rows) // chunk))
-        return in_32_bits(padded(rows, chunk * groups).reshape(-1, chunk, rows.shape[1]))
-
     def in_boxes(walls: Float[np.ndarray, "n 4"]) -> Walls:
         ends = walls.reshape(-1, 2, 2)
         # Sort the walls by the Morton code of their middles, so that groups are compact. Bit k of a middle's x and y,
@@ -116,12 +105,13 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         place = ((ends.mean(axis=1) / domain.width + 0.5) * 2**10).astype(int)
         bits = place[:, :, None] >> np.arange(10) & 1
         order = np.argsort((bits << 2 * np.arange(10) + np.arange(2)[:, None]).sum(axis=(1, 2)), kind="stable")
-        groups, ends = in_groups(walls[order], _CLUSTER), ends[order]
+        count, ends = _CLUSTER * size_in_eighths(-(-len(walls) // _CLUSTER)), ends[order]
+        groups = padded(walls[order], count).reshape(-1, _CLUSTER, 4)
         # Boxes of groups without walls have their lower corner beyond their upper one: no segment meets them.
-        count, margin = len(groups) * _CLUSTER, RECEDING * float(domain.width.max())
+        margin = RECEDING * float(domain.width.max())
         lo = padded(ends.min(axis=1), count, _NOWHERE).reshape(-1, _CLUSTER, 2).min(axis=1) - margin
         hi = padded(ends.max(axis=1), count, -_NOWHERE).reshape(-1, _CLUSTER, 2).max(axis=1) + margin
-        return Walls(groups, in_32_bits(np.concatenate([(lo + hi) / 2, (hi - lo) / 2], axis=1)))
+        return Walls(in_32_bits(groups), in_32_bits(np.concatenate([(lo + hi) / 2, (hi - lo) / 2], axis=1)))
 
     # 3. Bound the lengths of paths from corners to leaves, in steps of which the longest path has less than 2**16.
     distances = distances_table(stored, size)
@@ -135,7 +125,6 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     return PairTables(
         partition=replace(build_tables(domain, cells, np.zeros((len(cells), 1)), LeafModel, num_bytes), leaf=None),
         walls=in_boxes(obstacles.walls),
-        occluders=in_groups(occluders, _UNROLLED),
         near=near,
         x=in_32_bits(x),
         y=in_32_bits(y),

@@ -1,4 +1,4 @@
-"""What hides points: all walls between boxes and corners, hardly any others; and occluders, inside obstacles."""
+"""What hides points: all walls between boxes and corners, hardly any others."""
 
 import jax
 import jax.numpy as jnp
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import Box, Workspace, scenes
-from plr_jax._arrays import padded
 from plr_jax.pairs import occlusion
-from plr_jax.pairs.occlusion import NearWalls, is_across_occluder, near_entries, occluders_of
+from plr_jax.pairs.occlusion import NearWalls, near_entries
 
 
 def random_case(seed, leaves, corners, walls):
@@ -86,46 +84,3 @@ def test_too_many_near_walls_give_none(monkeypatch, limit):
     assert near_entries(*case, 1e-3, most) is not None and near_entries(*case, 1e-3, most - 1) is None
     monkeypatch.setattr(occlusion, limit, len(entry) - 1)
     assert near_entries(*case, 1e-3, most) is None
-
-
-def ends_of(workspace, depth=1e-5):
-    """Both ends of the occluders of a workspace."""
-    rows = occluders_of(workspace.free_space, workspace.bounds, depth, 1000)
-    middle = (workspace.bounds.lo + workspace.bounds.hi) / 2
-    return rows[:, :4].reshape(-1, 2, 2) + middle
-
-
-def test_occluders_lie_inside_obstacles_and_hide_most_pairs():
-    workspace = scenes.floor_plan().workspace
-    ends = ends_of(workspace)
-    assert 8 < len(ends) < 128
-    solid = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi).difference(workspace.free_space).buffer(-0.9e-5)
-    assert shapely.covers(solid, shapely.linestrings(ends)).all()
-    x, y = workspace.sample_free(2_000, seed=8).reshape(2, -1, 2)
-    hidden = ~workspace.is_visible(x, y)
-    lines = shapely.linestrings(np.stack([x, y], axis=1))
-    told = shapely.intersects(shapely.union_all(shapely.linestrings(ends)), lines)
-    assert not (told & ~hidden).any() and told.sum() > 0.8 * hidden.sum()
-
-
-def test_thin_or_absent_obstacles_yield_no_occluders():
-    empty = Workspace(Box((0, 0), (1, 1)))
-    assert len(ends_of(empty)) == len(ends_of(scenes.thin_maze().workspace, depth=0.01)) == 0
-
-
-@pytest.mark.usefixtures("unchecked_types")
-def test_occluders_hide_no_points_beyond_their_ends():
-    workspace, hides = scenes.floor_plan().workspace, jax.jit(is_across_occluder)
-    rows = occluders_of(workspace.free_space, workspace.bounds, 1e-5, 1000).astype(np.float32)
-    rng = np.random.default_rng(0)
-    for row in rows[:8]:
-        a, b = row[:4].reshape(2, 2)
-        near, far = rng.uniform(0.001, 1, (2, 2000, 1)).cumsum(axis=0)
-        noise = 24e-7 * rng.normal(size=(2, 2000, 2)) * rng.integers(0, 20, (2000, 1))  # of a width of 24
-        x, y = (b + share * (b - a) + each for share, each in zip((near, far), noise, strict=True))
-        # The last segment crosses the occluder in the middle.
-        middle, across = (a + b) / 2, np.array([a[1] - b[1], b[0] - a[0]])
-        x, y = (np.vstack(each).astype(np.float32) for each in ((x, middle - across), (y, middle + across)))
-        group = jnp.asarray(padded(row[None], 16)[None])
-        for found in (hides(group, x, y), hides(group, y, x)):
-            assert found[-1] and not found[:-1].any()
