@@ -15,7 +15,7 @@ from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, GridPaths, convex_corners
 from plr_jax.traced.corner_paths import CornerPairs
-from plr_jax.traced.fields import as_array, as_floats, as_points, distance, finite, require_one_map
+from plr_jax.traced.fields import as_array, as_floats, as_points, distance, replace_nonfinite, require_one_map
 from plr_jax.traced.steps import MOST_CELLS, Mask, StepPairs, Steps
 
 Moves = Literal["any-angle", 4, 8]
@@ -167,7 +167,7 @@ def grid_distance(
 @partial(jax.jit, static_argnames=("moves", "num_corners"))
 def _make(free: Mask, goal: Float[Array, "2"] | None, moves: Moves, num_corners: int) -> GridDistance | GridDistances:
     h, w = free.shape
-    start, is_complete = None if goal is None else finite(goal), jnp.array(True)
+    start, is_complete = None if goal is None else replace_nonfinite(goal), jnp.array(True)
     paths: Any
     if moves == "any-angle":
         corners, is_complete = convex_corners(free, num_corners)

@@ -14,7 +14,7 @@ from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.traced.corner_paths import CornerPairs, CornerPaths
-from plr_jax.traced.fields import FAR, as_array, as_floats, as_points, distance, finite, require_one_map
+from plr_jax.traced.fields import FAR, as_array, as_floats, as_points, distance, replace_nonfinite, require_one_map
 from plr_jax.traced.polygons import PolygonCorners
 
 MOST_VERTICES = 256  # tests of sight grow with the cube of the number of vertices
@@ -24,7 +24,8 @@ MOST_VERTICES = 256  # tests of sight grow with the cube of the number of vertic
 class PolygonDistance:
     """The distance from any point to the nearest of some goals among polygons; made by :func:`polygon_distance`.
 
-    ``has_no_answers`` is true if an argument was not finite. Then all distances are NaN.
+    ``has_no_answers`` is true if a coordinate of a goal or of the bounds is NaN, or a row of the polygons is neither
+    finite nor all NaN. Then all distances are NaN.
     """
 
     paths: CornerPaths  # relative to `origin`
@@ -84,15 +85,16 @@ def polygon_distance(
         field(x)  # distances (n,) to the goal from points x, (n, 2)
 
     Distances have gradients with respect to vertices, goals and points. Where two paths are equally short, the
-    gradient is that of one of them. At a corner, it is that of the path as taken. All arguments may be created inside
-    ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in tracing.
+    gradient is that of one of them. From a corner, the path starts towards the next one. All arguments may be created
+    in ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in tracing.
 
     Polygons may overlap and touch. Paths may touch walls, but not pass between two polygons that touch in a point.
-    Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with two exceptions:
+    Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with these exceptions:
 
-    - A point where two polygons touch lies on one side of the contact, not on both.
-    - In 32 bits, gaps narrower than 1e-5 of the map's size count as closed, and a point closer to a wall than 1e-6
-      of this size may count as on either side of it. In 64 bits, these are 1e-14 and 1e-15.
+    - A point where two polygons touch lies on one side of the contact, not on both. A point in an acute angle between
+      walls of two polygons or bounds may count as blocked.
+    - In 32 bits, gaps narrower than 3e-5 of the map's size may count as closed, and a point closer to a wall than
+      1e-6 of this size may count as on either side of it. In 64 bits, these are 1e-13 and 1e-15.
 
     A program of new shapes takes seconds to compile: jit the function that makes and calls the field, and pad maps to
     one shape. 1,000 points among 64 vertices then take milliseconds.
@@ -103,8 +105,8 @@ def polygon_distance(
             256 vertices, ``m * k``, with padding.
         goal: Goal ``(2,)``, or several goals ``(g, 2)``: distances are those to the nearest goal. No path leads to a
             goal that is not free. None: the result is a :class:`PolygonDistances`, of pairs of points.
-        bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked. None:
-            the whole plane, up to coordinates of 1e17.
+        bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked,
+            so bounds without width leave nothing free. None: the whole plane, up to coordinates of 1e17.
     """
     polygons = as_floats(as_points("polygons", polygons))
     if polygons.ndim != 3:
@@ -167,7 +169,7 @@ def _make(
     if goals is None:
         return PolygonDistances(CornerPairs.of_map(corners), origin, has_no_answers)
     goals = goals.astype(dtype)
-    paths = CornerPaths.to_goals(corners, finite(goals - origin[None]))
+    paths = CornerPaths.to_goals(corners, replace_nonfinite(goals - origin[None]))
     return PolygonDistance(paths, origin, has_no_answers | jnp.isnan(goals).any())
 
 

@@ -29,7 +29,7 @@ Segments = tuple[Float[Array, "corners corners"], Lengths]  # between corners, a
 
 
 @jax.custom_jvp
-def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
+def bellman_ford(lengths: Float[Array, "corners corners"], straight: Lengths) -> Lengths:
     """Return the distance of each corner to the goal, along straight segments between corners.
 
     ``lengths[i, j]`` is the length of the segment between corners ``i`` and ``j``. ``straight[i]`` is the length of
@@ -45,16 +45,16 @@ def relax_from_seen(lengths: Float[Array, "corners corners"], straight: Lengths)
     return lax.while_loop(lambda state: state[1], relaxed, (straight, jnp.array(True)))[0]
 
 
-@relax_from_seen.defjvp
+@bellman_ford.defjvp
 def _(primals, tangents):
-    total = relax_from_seen(*primals)
-    return total, _change_of_paths(primals, total, tangents)
+    total = bellman_ford(*primals)
+    return total, _tangents_of_paths(primals, total, tangents)
 
 
-def _change_of_paths(segments: Segments, total: Lengths, changes: Segments) -> Lengths:
+def _tangents_of_paths(segments: Segments, total: Lengths, changes: Segments) -> Lengths:
     """Return the changes of distances ``total`` if the lengths of segments change.
 
-    ``segments`` and their ``changes`` are the arguments of :func:`relax_from_seen`, and ``total`` is its result.
+    ``segments`` and their ``changes`` are the arguments of :func:`bellman_ford`, and ``total`` is its result.
     """
     # Pointer doubling: `change` is the sum over the first 1, 2, 4, ... segments of each path, and `onward` the corner
     # at their end. The goal is number `count`, whose path has no segments.
@@ -85,7 +85,7 @@ class CornerPaths:
         seen = corners.seen_from(ends) & is_free[:, None] & corners.is_convex[None]
         straight = length_if_seen(seen, goals[:, None], corners.points(goals.dtype)[None]).T
         straight = shortest(straight, jnp.zeros_like(straight))
-        return cls(corners, relax_from_seen(corners.lengths(goals.dtype), straight), goals)
+        return cls(corners, bellman_ford(corners.lengths(goals.dtype), straight), goals)
 
     def distance(self, x: Points) -> Float[Array, " n"]:
         x = x.astype(jnp.promote_types(x.dtype, self.goals.dtype))
@@ -145,7 +145,7 @@ def _(primals, tangents):
     # Column j has the distances to corner j, as to a goal that only corner j sees, at distance 0.
     total = _paths_between(*primals)
     straight = jnp.where(jnp.eye(len(total), dtype=bool), 0, jnp.inf)
-    change = jax.vmap(_change_of_paths, ((None, 1), 1, (None, 1)), 1)
+    change = jax.vmap(_tangents_of_paths, ((None, 1), 1, (None, 1)), 1)
     return total, change((*primals, straight), total, (*tangents, jnp.zeros_like(straight)))
 
 
@@ -176,10 +176,10 @@ def _(primals, tangents):
 def _longest_of_equal(
     first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"], least: Float[Array, "*batch"]
 ) -> Int[Array, "*batch"]:
-    """Return which path is the shortest; among paths that are equal up to rounding, that with the longest first leg.
+    """Return which path is the shortest; among paths equal up to rounding, that with the longest first segment.
 
-    Where a point sees two corners of one path, the path straight to the farther one is shorter, if by less than
-    rounding. At a corner, the segment to that corner has no length and no direction.
+    If a point sees two corners of its path, the way straight to the farther corner is never longer, but rounding may
+    hide this. A segment from a corner to itself has no direction.
     """
     return jnp.argmax(jnp.where(first + onward <= _rounded_up(least)[..., None], first, -1), axis=-1)
 

@@ -1,4 +1,4 @@
-"""Checks of points, and answers where no distance is known, for fields of distances on all traced maps."""
+"""Checks of points, and NaN as the answer of no distance, shared by all fields of distances on traced maps."""
 
 from contextlib import suppress
 from functools import reduce
@@ -25,11 +25,11 @@ def distance(field: Any, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*b
     """
     ends = jnp.broadcast_arrays(*points)
     is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in ends]) | field.has_no_answers
-    value = field.paths.distance(*(finite(x).reshape(-1, 2) for x in ends))
+    value = field.paths.distance(*(replace_nonfinite(x).reshape(-1, 2) for x in ends))
     return jnp.where(is_nan, jnp.nan, value.reshape(is_nan.shape))
 
 
-def finite(x: Points) -> Points:
+def replace_nonfinite(x: Points) -> Points:
     return jnp.where(jnp.isfinite(x), x, -FAR)
 
 

@@ -18,12 +18,11 @@ from plr_jax.traced.corner_paths import Broadcast, length_if_seen
 
 Points = Float[Array, "n 2"]
 Edges = Float[Array, "edges 2"]
-# The margin, and the thickness of walls, in machine epsilons of the largest coordinate. Rounding moves a segment by
-# about 4 of them.
-_MARGIN = 8
-_WALL = 4
-_SHARPEST = 1 / 64  # sine of half an angle: sharper corners are moved as far as corners of this angle
-_ROUNDS = 3  # a point near several walls is moved away from one wall after another
+# In machine epsilons of the largest coordinate. In tests of sight, rounding moves segments by up to about 4 epsilons.
+_MARGIN = 8  # the margin: twice as much
+_WALL = 4  # a point this close to a wall counts as on the wall
+_SHARPEST = 1 / 64  # sine of half of a corner's angle: sharper corners would be moved more than 64 margins
+_ROUNDS = 4  # a point in a right angle between two walls or bounds is moved away from one after the other, twice
 _EDGES = 16  # edges that a compiled loop tests in one pass: with fewer it is slower, with more it compiles longer
 
 
@@ -32,8 +31,8 @@ class PolygonCorners:
     """The corners of polygons, made by :meth:`of_polygons`."""
 
     vertices: Float[Array, "*maps m k 2"]  # counterclockwise; padding repeats another vertex of its polygon
-    offsets: Float[Array, "*maps m k 2"]  # from each vertex to a point at the margin outside of both sides there
-    is_convex: Bool[Array, "*maps corners"]  # and not inside another polygon or beyond the bounds
+    offsets: Float[Array, "*maps m k 2"]  # moves each vertex to the margin outside of both of its sides
+    is_convex: Bool[Array, "*maps corners"]  # whether paths may bend there: convex, within bounds, in no polygon
     bounds: Float[Array, "*maps 2 2"]  # lower and upper corner
     margin: Float[Array, "*maps"]
 
@@ -54,11 +53,15 @@ class PolygonCorners:
         #    previous --- before ---> vertex --- after ---> next
         fixed = lax.stop_gradient(vertices)
         differs = (fixed[:, :, None] != fixed[:, None]).any(axis=3)
-        ends = [jnp.argmin(jnp.where(differs, each, k), axis=2)[..., None] for each in (-steps % k, steps)]
-        before = _unit(fixed - jnp.take_along_axis(fixed, ends[0], axis=1))
-        after = _unit(jnp.take_along_axis(fixed, ends[1], axis=1) - fixed)
+        neighbors = [jnp.argmin(jnp.where(differs, each, k), axis=2)[..., None] for each in (-steps % k, steps)]
+        before = _unit(fixed - jnp.take_along_axis(fixed, neighbors[0], axis=1))
+        after = _unit(jnp.take_along_axis(fixed, neighbors[1], axis=1) - fixed)
         # 3. Move each vertex outward along its bisector: the sum of the sides' normals and, for sharp corners, the
         #    difference of the sides.
+        #              after ^   x: moved, at the margin from the lines of both sides
+        #     (polygon)      |
+        #    --- before ---> o
+        #                      x
         normals, turn = _normals(before + after), _cross(before, after)
         sides = jnp.where(turn[..., None] < 0, after - before, before - after)
         eps = jnp.finfo(fixed.dtype).eps
@@ -83,24 +86,21 @@ class PolygonCorners:
         x = lax.stop_gradient(x)
         is_first = jnp.arange(_ROUNDS) == 0
         end, distances = lax.scan(self._moved_from_wall, x, is_first)
-        # Stay within the bounds by the margin, too: no segment may pass between a polygon and bounds that it touches.
-        lower, upper = self.bounds.astype(x.dtype)[:, None]
-        end = jnp.clip(end, lower + self.margin, upper - self.margin)
-        # On a wall, the moved point says what is free: the wall may be a side of two polygons that touch.
+        # A point on a wall is free if its moved point is: the wall may be a side of two polygons that touch.
         is_blocked = self._are_inside(end)
         is_free = ~jnp.where(distances[0] <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
         return jnp.where(is_blocked[:, None], x, end), is_free & self._are_in_bounds(x)
 
     def see_each_other(self, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
         # A segment from a to b crosses an edge if the edge's ends are on different sides of it, and a and b on
-        # different sides of the edge. Ends on the line of the segment count as on its right.
+        # different sides of the edge. A vertex on the line of the segment counts as on its right.
         (ax, ay), (bx, by) = _columns(a), _columns(b)
         dx, dy = bx - ax, by - ay
 
         def is_left(x, y):
             return dx * (y - by) > dy * (x - bx)
 
-        def hits_also(hit, edges):
+        def add_hits(hit, edges):
             for (x0, y0), (x1, y1) in zip(*edges, strict=True):
                 a_is_left, b_is_left = ((x1 - x0) * (y - y0) > (y1 - y0) * (x - x0) for x, y in ((ax, ay), (bx, by)))
                 hit |= (is_left(x0, y0) != is_left(x1, y1)) & (a_is_left != b_is_left)
@@ -110,7 +110,7 @@ class PolygonCorners:
         num_passes = -(-len(edges[0]) // _EDGES)
         padded = [jnp.pad(each, ((0, -len(each) % num_passes), (0, 0))) for each in edges]
         passes = [each.reshape(num_passes, -1, 2) for each in padded]
-        return ~lax.scan(hits_also, jnp.zeros(dx.shape, bool), passes)[0]
+        return ~lax.scan(add_hits, jnp.zeros(dx.shape, bool), passes)[0]
 
     def seen_from(self, ends: Points) -> Bool[Array, "n corners"]:
         return self.see_each_other(ends[:, None], self._ends()[None]) & self.is_convex[None]
@@ -119,7 +119,7 @@ class PolygonCorners:
         seen = self.seen_from(self._ends()) & self.is_convex[:, None]
         points = self.points(dtype)
         lengths = length_if_seen(seen, points[:, None], points[None])
-        return jnp.where(lengths > self.margin, lengths, jnp.inf)  # corners of two polygons may be equal
+        return jnp.where(lengths > 0, lengths, jnp.inf)  # corners of two polygons may be equal
 
     def _ends(self) -> Float[Array, "corners 2"]:
         return lax.stop_gradient(self.vertices + self.offsets).reshape(-1, 2)
@@ -143,16 +143,17 @@ class PolygonCorners:
         return crosses.reshape(*self.vertices.shape[:2], -1).sum(axis=1) % 2 == 1
 
     def _moved_from_wall(self, x: Points, is_first: Bool[Array, ""]) -> tuple[Points, Float[Array, " n"]]:
-        # Return each point, moved to the margin outside of the nearest wall if it is closer, and its distance before.
+        # Move each point that is too close to its nearest wall to the margin outside of it. Return the points, and
+        # their distances before the move.
         start, end = self._edges(x.dtype)
         square = _feet(start[:, None], end[:, None], x[None])[1]  # rows are edges
-        # In later rounds, a point inside polygons leaves these.
+        # After the first round, a point inside polygons leaves these. Padding is no wall.
         k, is_in = self.vertices.shape[1], self._containing(x) & ~is_first
-        is_wall = jnp.repeat(is_in, k, axis=0) | ~is_in.any(axis=0)[None]
+        is_wall = (jnp.repeat(is_in, k, axis=0) | ~is_in.any(axis=0)[None]) & (start != end).any(axis=1)[:, None]
         square = jnp.where(is_wall, square, jnp.inf)
         least = square.min(axis=0)
-        number = jnp.arange(len(start), dtype=x.dtype)  # this minimum is eight times as fast as an argmin
-        edge = jnp.where(square <= least[None], number[:, None], len(start) - 1).min(axis=0).astype(int)
+        index = jnp.arange(len(start), dtype=x.dtype)  # this minimum is eight times as fast as an argmin
+        edge = jnp.where(square <= least[None], index[:, None], len(start) - 1).min(axis=0).astype(int)
         foot = _feet(start[edge], end[edge], x)[0]
         moved = foot + self.margin.astype(x.dtype) * _normals(_unit(end - start))[edge]
         # In the first round, a point near an end of the wall moves outside of both walls there. Where polygons touch,
@@ -162,16 +163,18 @@ class PolygonCorners:
             moved = jnp.where(is_near[:, None], self._ends().astype(x.dtype)[vertex], moved)
         distance = jnp.sqrt(least)
         must_move = distance < jnp.where(is_first, 1, jnp.where(is_in.any(axis=0), 2, 0.5)) * self.margin
-        return jnp.where(must_move[:, None], moved, x), distance
+        # Stay within the bounds by the margin, too: no segment may pass between a polygon and bounds that it touches.
+        lower, upper = self.bounds.astype(x.dtype)[:, None]
+        return jnp.clip(jnp.where(must_move[:, None], moved, x), lower + self.margin, upper - self.margin), distance
 
 
 def _feet(start: Broadcast, end: Broadcast, x: Broadcast) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Return the nearest point of each edge to each point, and the squared distance to it."""
     (ux, uy), (dx, dy) = _columns(end - start), _columns(x - start)
     square = ux * ux + uy * uy
-    share = jnp.clip((dx * ux + dy * uy) / jnp.where(square > 0, square, 1), 0, 1)
-    foot = start + share[..., None] * (end - start)
-    ex, ey = dx - share * ux, dy - share * uy
+    t = jnp.clip((dx * ux + dy * uy) / jnp.where(square > 0, square, 1), 0, 1)
+    foot = start + t[..., None] * (end - start)
+    ex, ey = dx - t * ux, dy - t * uy
     return foot, ex * ex + ey * ey
 
 
