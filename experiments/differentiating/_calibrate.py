@@ -2,7 +2,7 @@
 
 A region of the office floor, which the file does not know, is slow. ``TunablePLR`` starts from the exact distances.
 Its loss is the mean square of relative errors at the samples, plus a weight times the bend of the change: how much
-the slope of the change differs, on average, between free points less than a meter or so apart. A tenth of the samples
+the slope of the change differs, on average, between pairs of points about a meter apart. A tenth of the samples
 is held out: it chooses the weight, and when training stops. Nothing is tuned on the unseen points. Truth is
 ``cost_distance`` on a fine raster; all points are centers of its cells.
 """

@@ -16,7 +16,7 @@ from plr_jax import VisibilityGraph, Workspace, polygon_distance
 
 MAPS, POINTS = 200, 1_000
 ALLOWED = {32: 1e-5, 64: 1e-10}
-BESIDE_WALLS = {32: 1e-6, 64: 1e-14}
+BESIDE_WALLS = {32: 1e-6, 64: 1e-15}
 _AT_CORNERS = 50
 _FEWEST_CORNERS = 8
 _TIGHT, _WIDE = ((0.0, 0.0), (1.0, 1.0)), ((-2.0, -2.0), (3.0, 3.0))  # bounds: the former cut polygons

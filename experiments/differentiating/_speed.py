@@ -1,7 +1,7 @@
 """Seconds of distances among traced polygons and of their gradients, beside ``VisibilityGraph`` of the same maps.
 
-Times are the least of many calls; finite differences are the number of distances that they take, times the seconds
-that a new oracle and its distances take.
+Times are the least of many calls, CPU times their mean. Finite differences are the number of distances that they
+take, times the seconds that a new oracle and its distances take.
 """
 
 from typing import Any

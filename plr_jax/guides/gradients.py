@@ -8,11 +8,12 @@
 | discs, inside `jit` | center, radius | `plr_jax.polygons_of_discs` |
 | polygons, on the host | point, goal, vertex | `oracle.directions`, `oracle.vertex_gradient` |
 | grids, inside `jit` | point, goal; not which cells are free | `plr_jax.grid_distance` |
-| `plr_jax.cost_distance` | none: by a cell's cost, it is the length of `result.path(x)` in the cell | |
+| `plr_jax.cost_distance` | cost of a cell: compute it, as the length of `result.path(x)` in the cell | |
 
-Gradients are those of a shortest path. By a point, it is a unit vector away from the path. By a corner at which the
-path bends, it is the sum of two unit vectors, to the corner from its neighbors on the path. By all other vertices, it
-is 0. `jax.hessian` works, too. `notebooks/8_gradients_of_a_distance.ipynb` has pictures.
+A gradient is that of one shortest path. By the point, it is the unit vector against the first segment; by the goal,
+the unit vector along the last segment. By a corner at which the path bends, it is the sum of the unit vectors to it
+from its neighbors on the path. By all other vertices, it is 0. `jax.jvp` and `jax.hessian` work inside `jit`, too.
+`notebooks/8_gradients_of_a_distance.ipynb` has pictures.
 
 # Move walls
 
@@ -50,8 +51,7 @@ for _ in range(20):
 print(shifts, cost)
 ```
 
-Without a goal, the result is a `plr_jax.PolygonDistances`, of pairs of points. `polygons_of_discs` returns polygons
-around discs. Pad polygons of fewer vertices with rows of NaN.
+Without a goal, the result is a `plr_jax.PolygonDistances`, of pairs of points. Pad polygons with rows of NaN.
 
 ```python
 def between(centers):
@@ -67,8 +67,10 @@ matrix: a row for each point, two columns for each row of `workspace.obstacle_ve
 `custom_vjp` makes it a gradient of JAX. Here all points keep a path to the goal; else the mean is `inf`.
 
 ```python
+x, shape = np.asarray(x), walls.shape  # a callback must not compute with arrays of JAX
+
 def on_host(vertices):
-    workspace = plr_jax.Workspace(bounds, np.asarray(vertices, float).reshape(walls.shape))
+    workspace = plr_jax.Workspace(bounds, np.asarray(vertices, float).reshape(shape))
     oracle, points = plr_jax.VisibilityGraph(workspace, (9, 1)), x[workspace.is_free(x)]
     by_vertices = np.asarray(oracle.vertex_gradient(points).mean(axis=0))[:-2].reshape(-1, 2)
     return np.float32(oracle(points).mean()), by_vertices.astype(np.float32)
@@ -92,7 +94,7 @@ too. `to_plr` writes a file again, without a proof.
 ```python
 problem = plr_jax.scenes.maze()
 oracle = plr_jax.VisibilityGraph(problem.workspace, problem.goals[0])
-plr = plr_jax.construct(oracle, problem.workspace.bounds, leaf="continuous", max_bytes=1024)
+plr = plr_jax.construct(oracle, problem.workspace.bounds, leaf="continuous", max_bytes=512)
 x = problem.workspace.sample_free(500, seed=0)
 measured = 1.2 * oracle(x)
 
@@ -106,16 +108,14 @@ tunable, optimizer = plr.tunable(), optax.adam(0.01)
 state = optimizer.init(tunable)
 for _ in range(100):
     tunable, state, loss = train(tunable, state)
-print(loss, tunable.to_plr(max_bytes=1024))
+print(loss, tunable.to_plr(max_bytes=512))
 ```
 
 # Where gradients jump
 
-- **Two equally short paths**: the gradient is that of one of them. Average over many points, take small steps, and
-  keep the best result of all steps.
-- **A gap closes or opens**: the distance jumps, and no gradient announces it. Try several starts.
+- **Two equally short paths**: the gradient is that of one. Average over many points, and keep the best of all steps.
+- **A gap closes or opens**: the distance jumps, and no gradient shows it beforehand. Try several starts.
 - **Points in a wall**: distance `inf`, gradient 0. Mask them, as above; a penalty keeps walls away from points.
 - **Second derivatives** jump where a point begins to see another corner.
-- **Planes** jump between leaves, and so do gradients of continuous leaves. Gradients of smooth leaves do not, except
-  across walls.
+- **Planes** jump between leaves, gradients of continuous leaves, too. Those of smooth leaves jump across walls only.
 """

@@ -49,7 +49,7 @@ def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tupl
         of_leaves = filled_coefficients(contents, np.where(is_free, coefficients, np.inf))
         return np.where(np.isinf(of_leaves[:, :1]), 0.0, of_leaves)  # no value changes leaves that answer ``inf``
 
-    # 1. A leaf may continue the plane of another one, its source. Constants that are the numbers of leaves tell them.
+    # 1. A leaf may continue the plane of another one, its source. To find it, store each leaf's index as a constant.
     constants = leaf.coefficients_of_planes(np.arange(len(cells)) + 0.0, np.zeros((len(cells), cells.dim)))
     source = np.rint(leaf.mean_planes(*cells.boxes(domain), filled(constants))[0]).astype(np.int64)
     # 2. The effect of each coefficient of the source. If functions are ``is_cell_relative``, one matrix turns the
@@ -65,7 +65,7 @@ def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tupl
     entries = effects[at, row, column], (len(units) * at + row, len(units) * source[at] + column)
     values, of_values = leaf.free_values(cells, contents.stored)
     matrix = (csr_array(entries, 2 * [len(cells) * len(units)]) @ of_values).tocoo()  # sorted by row
-    # 3. Places in the layouts of ``arrange_parameters``. Numbers of cells, which come first, do not change.
+    # 3. Places in the layouts of ``arrange_parameters``. The first parameters describe the cell and stay fixed.
     table, count = tables.leaf_parameters, leaf.num_leaf_parameters(cells.dim)
     places = np.arange(table.size).reshape((-1, count), order="F" if table.ndim == 2 else "C")
     arrays = values, matrix.data, matrix.row, matrix.col, shared, places[: len(cells), -shared.shape[1] :]
@@ -124,7 +124,7 @@ class TunablePLR:
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Return the distance at each point ``x``, ``(..., dim)``, as :func:`evaluate` does.
 
-        With the initial values, answers are those of the PLR, up to rounding. A leaf without values still answers
+        With the initial values, answers are those of the compiled PLR, bit for bit. A leaf without values answers
         ``inf`` or continues the plane of a neighbor. Some files of :func:`solve_eikonal` have a lower bound by
         straight lines. Then answers are at least this bound, also after training: where the bound is larger than the
         leaf's function, the gradient with respect to the values is 0. ``ValueError`` if points are invalid, or if

@@ -91,8 +91,8 @@ def polygon_distance(
     Polygons may overlap and touch. Paths may touch walls, but not pass between two polygons that touch in a point.
     Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with these exceptions:
 
-    - A point where two polygons touch lies on one side of the contact, not on both. A point in an acute angle between
-      walls of two polygons or bounds may count as blocked.
+    - A point where two polygons, or a polygon and the bounds, touch lies on one side of the contact, not on both.
+    - The tip of an acute angle between walls of two polygons or bounds may count as blocked.
     - In 32 bits, gaps narrower than 3e-5 of the map's size may count as closed, and a point closer to a wall than
       1e-6 of this size may count as on either side of it. In 64 bits, these are 1e-13 and 1e-15.
 
