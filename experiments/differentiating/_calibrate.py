@@ -172,8 +172,11 @@ def fitted_plr(plr: PLR, workspace: Any, samples: Samples, held_out: Samples, rn
         optimizer = optax.adam(optax.cosine_decay_schedule(_RATE, steps))
         return train(lambda tunable, x: tunable(x), loss, first, optimizer, steps, held_out)
 
-    fits = [Fit(*fit(weight), {"weight": weight}) for weight in (_WEIGHTS[2:3] if smoke else _WEIGHTS)]
-    return min((fit._replace(held_out=float(fit.held_out) ** 0.5) for fit in fits), key=lambda fit: fit.held_out)
+    fits = []
+    for weight in _WEIGHTS[2:3] if smoke else _WEIGHTS:
+        values, error = fit(weight)
+        fits.append(Fit(values, float(error) ** 0.5, {"weight": weight}))
+    return min(fits, key=lambda each: each.held_out)
 
 
 def fitted_network(samples: Samples, held_out: Samples, seed: int, smoke: bool) -> tuple[Predict, Fit, int]:
@@ -194,7 +197,7 @@ def fitted_network(samples: Samples, held_out: Samples, seed: int, smoke: bool) 
         layers, _ = jax.jit(lambda first: train(predict, loss, first, optimizer, steps, held_out))(first)  # noqa: B023
         layers = jax.tree.map(lambda each: each.astype(jnp.float16).astype(jnp.float32), layers)
         error = float(squared_error(predict(layers, held_out.x), held_out)) ** 0.5
-        about = dict(zip(("hidden layers", "octaves", "rate", "weight decay"), setting, strict=True))
+        about: dict[str, Any] = dict(zip(("hidden layers", "octaves", "rate", "weight decay"), setting, strict=True))
         found.append((predict, Fit(layers, error, about), sum((n + 1) * m for n, m in itertools.pairwise(widths))))
     return min(found, key=lambda each: each[1].held_out)
 
