@@ -254,4 +254,5 @@ class GridPaths(CornerPaths):
     def cells(self) -> Float[Array, "h w"]:
         # Return the distances from the centers of all cells, also of cells that pad the grid (`convex_corners`).
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goals.dtype)
-        return self.distance_given_sight(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)
+        seen = self.corners.seen_from_centers(x.dtype)
+        return self.distance_given_sight(x, self.corners.placed(x), seen).reshape(self.corners.free.shape)

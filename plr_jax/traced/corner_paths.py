@@ -89,15 +89,16 @@ class CornerPaths:
 
     def distance(self, x: Points) -> Float[Array, " n"]:
         x = x.astype(jnp.promote_types(x.dtype, self.goals.dtype))
-        return self.distance_given_sight(x, self.corners.seen_from(self.corners.placed(x)[0]))
+        placed = self.corners.placed(x)
+        return self.distance_given_sight(x, placed, self.corners.seen_from(placed[0]))
 
-    def distance_given_sight(self, x: Points, seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
-        """Return the distance of points that see the corners ``seen``.
+    def distance_given_sight(self, x: Points, placed: Any, seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
+        """Return the distance of points that see the corners ``seen``; ``placed`` is the map's ``placed(x)``.
 
         It is the least length of the straight segments to goals, and of the paths through each visible corner.
         """
         goals = self.goals.astype(x.dtype)
-        (ends, is_free), (goal_ends, goal_is_free) = self.corners.placed(x), self.corners.placed(goals)
+        (ends, is_free), (goal_ends, goal_is_free) = placed, self.corners.placed(goals)
         sees_goal = self.corners.see_each_other(ends[:, None], goal_ends[None]) & goal_is_free[None]
         through = jnp.isfinite(self.distances)[None] & seen
         to_goals = length_if_seen(sees_goal, x[:, None], goals[None])
