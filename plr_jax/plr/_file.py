@@ -133,12 +133,12 @@ def filled_coefficients(contents: DecodedFile, given: Coefficients | None = None
     """Return the coefficients of each leaf's function.
 
     A leaf without a function gets the plane of a neighbor with a function. If it has no such neighbor, or is cut off
-    from the goal, its first coefficient is ``inf``: the leaf answers ``inf``. Coefficients that are
-    ``given`` take the place of those in the file, and are changed.
+    from the goal, its first coefficient is ``inf``: the leaf answers ``inf``. Coefficients that are ``given``
+    take the place of those in the file.
     """
     # 1. Find the leaves without a function. Leaves that are cut off answer ``inf``.
     leaf, cells = contents.leaf, contents.tree.leaves
-    coefficients = leaf.coefficients(cells, contents.stored) if given is None else given
+    coefficients = leaf.coefficients(cells, contents.stored) if given is None else given.copy()
     unreachable = coefficients[:, 0] == np.inf
     if not (np.abs(coefficients[~unreachable]) < LARGEST).all():
         raise ValueError(f"its distances must be below {LARGEST:g} for 32-bit floats; scale them down")
