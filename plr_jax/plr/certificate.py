@@ -367,9 +367,9 @@ class Certificate:
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
         """Distinct pairs of a lower (row 0) and an upper (row 1) bound that leaves share, narrowest first."""
-        # As complex numbers, pairs are sorted by the size of the lower bound, then of the upper bound.
-        pairs: Any = np.unique(self.bounds().T @ [-1, 1j])
-        bounds = np.stack([-pairs.real, pairs.imag])
+        # Pairs are sorted by the size of the lower bound, then of the upper bound.
+        signs = np.array([[-1.0], [1.0]])
+        bounds = signs * np.unique(signs * self.bounds(), axis=1)
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
