@@ -158,7 +158,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     field[:num_goals] = 0.0  # at the goals, by definition
 
     def shortest(edges: Int[np.ndarray, "edges 2"]) -> tuple[Float[np.ndarray, "places"], Next]:
-        length, onward = dijkstra(Graph(points, edges), np.arange(num_goals))
+        length, onward = dijkstra(Graph(points, edges).adjacency, np.arange(num_goals))
         onward[:num_goals] = np.arange(num_goals)  # a goal's next place is the goal
         # Places without a path point to goal 0, so that indexing works; their length is inf, so no path uses them.
         return length, np.maximum(onward, 0)

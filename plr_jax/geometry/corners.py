@@ -9,10 +9,17 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.graph import FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
+from plr_jax.geometry.graph import NO_ARCS, Arcs, FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, visibility_of
+from plr_jax.geometry.visibility import (
+    Viewpoints,
+    VisibilityTable,
+    joined_tables,
+    triangles_within,
+    viewpoints_at,
+    visibility_of,
+)
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
@@ -75,12 +82,23 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph."""
+    """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph.
+
+    The last corners may be *places*: points of free space at which paths may turn in any direction, such as the ends
+    of stairs. Arcs join places whatever lies between them.
+    """
 
     corners: ReflexCorners
     views: Viewpoints  # at the corners
     table: VisibilityTable
     edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
+    num_places: int = 0
+    arcs: Arcs = NO_ARCS  # between corners
+
+    @property
+    def places(self) -> Int[np.ndarray, " places"]:
+        """The indices of the places among the corners."""
+        return np.arange(len(self.corners.points))[len(self.corners.points) - self.num_places :]
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
@@ -93,6 +111,38 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     is_other = (seen >= 0) & (seen != view)
     return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[is_other], seen[is_other]))
+
+
+def with_places(
+    visibility: CornerVisibility, triangulation: Triangulation, places: Float[np.ndarray, "places 2"], arcs: Arcs
+) -> CornerVisibility:
+    """Return the corners with ``places``, distinct points of free space, after the last corner.
+
+    ``arcs`` join places, by their indices in ``places``.
+    """
+    corners, count = visibility.corners, len(visibility.corners.points)
+    views = viewpoints_at(triangulation, places)
+    table, (place, vertex) = visibility_of(triangulation, views)
+    # 1. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
+    place, corner = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
+    at = views.points[place]
+    joined = (corner >= 0) & visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
+    # 2. Join places that see each other.
+    a, b = np.triu_indices(len(places), 1)
+    sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a])
+    pairs = np.stack([corner[joined], count + place[joined]], axis=1), count + np.stack([a[sees], b[sees]], axis=1)
+    return CornerVisibility(
+        ReflexCorners(
+            np.concatenate([corners.points, places]),
+            np.concatenate([corners.walls, np.zeros((2, len(places), 2))], axis=1),
+            corners.slack,
+        ),
+        visibility.views.append(views),
+        joined_tables([visibility.table, table]),
+        np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),
+        len(places),
+        Arcs(count + arcs.start, count + arcs.end, arcs.length),
+    )
 
 
 def mutually_visible_pairs(
@@ -119,8 +169,8 @@ def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "
 
     ``views`` are the corners at which paths can turn.
     """
-    corner = np.full(len(boundary.vertices), -1)
-    corner[boundary.edges[views.edge, 0]] = views.owner
+    corner, at_vertex = np.full(len(boundary.vertices), -1), views.at_vertex(boundary)
+    corner[boundary.edges[views.edge[at_vertex], 0]] = views.owner[at_vertex]
     return corner
 
 

@@ -66,6 +66,10 @@ class Viewpoints:
         is_kept = place[self.owner] >= 0
         return Viewpoints(self.points[rows], place[self.owner[is_kept]], self.edge[is_kept])
 
+    def append(self, other: "Viewpoints") -> "Viewpoints":
+        owner = np.append(self.owner, len(self.points) + other.owner)
+        return Viewpoints(np.concatenate([self.points, other.points]), owner, np.append(self.edge, other.edge))
+
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         """Return a vector from the viewpoint along the right wall of each sector."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
