@@ -21,8 +21,6 @@ from plr_jax.oracles._visibility_graph import NearestPaths, VisibilityGraph
 if TYPE_CHECKING:
     from plr_jax.buildings.building_plr import BuildingPLR
 
-NO_PATH = -2  # instead of the index of the next link
-
 
 @dataclass(frozen=True, eq=False, init=False)
 class Building(PickledWithoutCaches):
@@ -138,27 +136,29 @@ class BuildingOracle:
     paths: NearestPaths = field(repr=False)
     is_lower_bound: ClassVar[bool] = True
 
+    @cached_property
+    def floors(self) -> Floors:
+        return replace(self.building.plane_floors, num_goals=len(self.goals))
+
     def __call__(self, floor: ArrayLike, x: ArrayLike) -> Distances:
         """Return the distance from points ``x`` ``(n, 2)`` of floors, an index or ``(n,)``, to the nearest goal.
 
         Distances ``(n,)`` are lengths plus the costs of links, in the units of the floors; ``inf`` without a path, in
         obstacles, and outside the floor's bounds. ``ValueError`` for another shape or an unknown floor.
         """
-        return self.paths(self.building.in_plane(floor, as_points("x", x, 2) if not hasattr(x, "dtype") else x))
+        return self.paths(self.building.in_plane(floor, x))
 
     def which(self, floor: ArrayLike, x: ArrayLike) -> Int[np.ndarray, " n"]:
         """Return the index of the next link on each shortest path: -1 to walk to the goal, -2 without a path."""
-        return next_links(
-            self.building.plane_floors, len(self.goals), self.paths.which(self.building.in_plane(floor, x))
-        )
+        return self.floors.next_links(self.paths.which(self.building.in_plane(floor, x)))
 
     def shortest_path(self, floor: int, x: ArrayLike) -> Route:
         """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal."""
         start = self.building.in_plane(floor, as_points("x", [x], 2))
         (source,), _ = self.paths.first_turns(start)
-        sources, floors, legs, arcs = self.paths.sources, self.building.plane_floors, [], []
+        sources, floors, legs, arcs = self.paths.sources, self.floors, [], []
         if source < 0:
-            return floors.route([], [], np.inf)
+            return floors.route([], [])
         points = [start[0]]
         while True:
             points.append(sources.points[source])
@@ -168,7 +168,7 @@ class BuildingOracle:
             path = np.stack(points)
             legs.append((int(floor), path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]))
             if root < len(self.goals):
-                return floors.route(legs, arcs, 0.0)
+                return floors.route(legs, arcs)
             arcs.append(int(root) - len(self.goals))
             source, floor = sources.exits[source], floors.arcs[arcs[-1]].end[0]
             points = []
@@ -201,10 +201,4 @@ class BuildingOracle:
         from plr_jax.plr import construct
 
         plr = construct(self.paths, self.building.plane.bounds, leaf=leaf, **options)
-        return BuildingPLR(plr, replace(self.building.plane_floors, num_goals=len(self.goals)))
-
-
-def next_links(floors: Floors, num_goals: int, root: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    """Return the index of the link that each root takes, -1 for goals, -2 for no path (root -1)."""
-    links = np.array([-1] * num_goals + [arc.link for arc in floors.arcs] + [NO_PATH])
-    return links[root]
+        return BuildingPLR(self.floors, plr)

@@ -1,49 +1,85 @@
-"""PLRs of whole buildings: one PLR of the plane in which all floors lie side by side."""
+"""PLRs of whole buildings in JAX: one PLR of the plane in which all floors lie side by side."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
 
+from plr_jax._arrays import index_of
+from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike
-from plr_jax.buildings.floors import Floors
-from plr_jax.plr._plr import PLR
+from plr_jax.buildings.floors import Floors, Route
+from plr_jax.buildings.numpy_building import NumpyBuildingPLR
+from plr_jax.plr._plr import PLR, from_bytes
+from plr_jax.plr._trace import trace
+
+if TYPE_CHECKING:
+    from plr_jax.buildings.building import Building
 
 
+@serializable
 @jax.tree_util.register_pytree_node_class
 @dataclass(frozen=True, eq=False)
-class BuildingPLR:
+class BuildingPLR(NumpyBuildingPLR):
     """Distance to the nearest of a building's goals, over floors and links, as a PLR: ``plr(floor, x)``.
 
-    :meth:`BuildingOracle.construct` or :func:`load` makes it. It is a pytree, as a :class:`PLR` is.
-
-    Attributes:
-        plane: The PLR of all floors side by side: a point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
-        floors: Bounds and shifts of the floors, and the links.
+    :meth:`BuildingOracle.construct` or :func:`load` makes it. Calls, ``bounds`` and ``which`` work under ``jax.jit``,
+    ``jax.vmap`` and, by ``x``, ``jax.grad``. It is a pytree of the arrays of ``plane``, a :class:`PLR`.
     """
 
     plane: PLR
-    floors: Floors
 
-    def __call__(self, floor: ArrayLike, x: ArrayLike) -> Float[Array | np.ndarray, "*batch"]:
-        """Return the distance at each point ``x`` ``(..., 2)`` of a floor, an index or an array ``(...)`` of indices.
+    def numpy(self) -> NumpyBuildingPLR:
+        """Return the PLR as a function that needs no JAX, and is fast for single points."""
+        return NumpyBuildingPLR(self.floors, self.plane.numpy())
 
-        Distances ``(...)`` include the costs of links; they are ``inf`` outside the floor's bounds.
+    def trace(self, floor: ArrayLike, starts: ArrayLike, building: "Building | None" = None) -> list[Route]:
+        """Return the routes to the goal from starts ``(n, 2)`` on floors, an index or ``(n,)``, read from the file.
+
+        Needs cones, else ``ValueError``. As for :func:`trace`, the first segment may cross a wall unless the
+        ``building`` is given, whose walls are then tested. A start without a path, or without a free one, has a route
+        without legs.
         """
-        return self.plane(self.floors.in_plane(floor, x))
+        plane, sources = self.floors.in_plane(floor, starts), self.plane.stored.sources
+        traces = trace(self.plane, plane, None if building is None else building.plane)
+        of_start = np.broadcast_to(floor, len(traces)).tolist()
+        # 1. Find the source at which each path on the start's floor ends.
+        keys = sources.points @ [1, 1j]
+        order = np.argsort(np.where(sources.is_root, 0, 1), kind="stable")  # prefer roots
+        ends = traces.paths[np.arange(len(traces)), np.maximum(traces.counts, 1) - 1]
+        root = order[index_of(keys[order], ends @ [1, 1j])]
+        # 2. Follow the links: each root has a number, and its path continues at the source at the link's other end.
+        number = np.full(len(keys), -1)
+        number[sources.is_root] = sources.goals
+        routes = []
+        for k, (path, count, last) in enumerate(
+            zip(traces.paths, traces.counts.tolist(), root.tolist(), strict=True)
+        ):
+            legs, arcs = [], []
+            if traces.arrived[k]:
+                legs.append((of_start[k], path[:count]))
+                while (arc := int(number[last]) - self.floors.num_goals) >= 0:
+                    arcs.append(arc)
+                    leg_floor, point = self.floors.arcs[arc].end
+                    points = [np.array(point) + self.floors.shift[leg_floor]]
+                    last = int(np.linalg.norm(sources.points - points[0], axis=1).argmin())
+                    while sources.parent[last] != last:
+                        last = int(sources.parent[last])
+                        points.append(sources.points[last])
+                    legs.append((leg_floor, np.stack(points)))
+            routes.append(self.floors.route(legs, arcs))
+        return routes
 
-    def bounds(self, floor: ArrayLike, x: ArrayLike) -> Any:
-        return self.plane.bounds(self.floors.in_plane(floor, x))
-
-    @property
-    def max_error(self) -> float | None:
-        return self.plane.max_error
-
-    def tree_flatten(self) -> tuple[tuple[PLR], Floors]:
-        return (self.plane,), self.floors
+    def tree_flatten(self) -> tuple[tuple[PLR], str]:
+        return (self.plane,), self.floors.text
 
     @classmethod
-    def tree_unflatten(cls, floors: Floors, children: tuple[PLR]) -> "BuildingPLR":
-        return cls(*children, floors)
+    def tree_unflatten(cls, text: str, children: tuple[PLR]) -> "BuildingPLR":
+        return cls(Floors.of_text(text), *children)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "BuildingPLR":
+        """Decode the bytes of a building's file; ``ValueError`` if they are invalid."""
+        floors, rest = Floors.read(data)
+        return cls(floors, from_bytes(rest))

@@ -5,7 +5,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,12 +14,13 @@ from jaxtyping import Float
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_queries, require_integer, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
+from plr_jax.plr.container import BUILDING_MAGIC
 
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
-BUILDING_MAGIC = b"PBD\n"  # first bytes of files of buildings
 _SIZE = struct.Struct("<I")  # of the floors in a file
 _MOST_BYTES = 2**24  # of the floors in a file, decoded
+NO_PATH = -2  # instead of the index of the next link
 _UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
 
 
@@ -166,40 +167,63 @@ class Floors:
             p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
         return module.where(inside[..., None] | module.isnan(x), p, np.inf)
 
-    def route(self, legs: Sequence[tuple[int, np.ndarray]], arcs: Sequence[int], goal_cost: float) -> Route:
+    def next_links(self, root: Any) -> Any:
+        """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""
+        links = np.array([-1] * self.num_goals + [arc.link for arc in self.arcs] + [NO_PATH])
+        return root.__array_namespace__().asarray(links)[root]
+
+    def route(self, legs: Sequence[tuple[int, np.ndarray]], arcs: Sequence[int]) -> Route:
         """Return the route of legs ``(floor, points of the plane)``, joined by the arcs of the given indices."""
         if not legs:
             return Route([], [], np.inf)
-        length = sum(float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) for _, points in legs)
-        length += sum(self.arcs[arc].cost for arc in arcs) + goal_cost
+        walked = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in legs)
+        length = float(walked) + sum(self.arcs[arc].cost for arc in arcs)
         legs = [(floor, points - self.shift[floor]) for floor, points in legs]
         return Route(legs, [self.arcs[arc].link for arc in arcs], length)
 
-    def to_bytes(self) -> bytes:
-        """Encode the floors and links: compressed JSON, after its size."""
+    @cached_property
+    def text(self) -> str:
+        """The floors and links as JSON."""
         links = [astuple(link) for link in self.links]
         content = {"lo": self.lo.tolist(), "hi": self.hi.tolist(), "links": links, "goals": self.num_goals}
-        data = zlib.compress(json.dumps(content, separators=(",", ":")).encode(), 9)
+        return json.dumps(content, separators=(",", ":"))
+
+    @staticmethod
+    @lru_cache(maxsize=64)
+    def of_text(text: str) -> "Floors":
+        """Decode the JSON of :attr:`text`; ``ValueError`` if it is invalid."""
+        try:
+            content = json.loads(text)
+            lo, hi = (np.array(content[name], np.float64) for name in ("lo", "hi"))
+            if not (
+                lo.shape == hi.shape == (len(lo), 2) and len(lo) and (lo < hi).all() and np.isfinite([lo, hi]).all()
+            ):
+                raise ValueError("bounds of floors")
+            floors = Floors(lo, hi, tuple(Link(*link) for link in content["links"]), content["goals"])
+            require_integer("goals", floors.num_goals, 0)
+            if max((place[0] for arc in floors.arcs for place in (arc.start, arc.end)), default=0) >= len(lo):
+                raise ValueError("a link leads to an unknown floor")
+        except (TypeError, KeyError, ValueError, RecursionError) as error:
+            raise ValueError(f"its floors and links are invalid: {error}") from None
+        return floors
+
+    def to_bytes(self) -> bytes:
+        """Encode the floors for a file: compressed :attr:`text`, after its size."""
+        data = zlib.compress(self.text.encode(), 9)
         return BUILDING_MAGIC + _SIZE.pack(len(data)) + data
 
     @staticmethod
     def read(data: bytes) -> "tuple[Floors, bytes]":
         """Decode the floors at the beginning of a file; also return the rest of the file."""
         start = len(BUILDING_MAGIC) + _SIZE.size
+        if not data.startswith(BUILDING_MAGIC) or len(data) < start:
+            raise ValueError("it does not start like the file of a building")
+        end = start + _SIZE.unpack(data[len(BUILDING_MAGIC) : start])[0]
+        decoder = zlib.decompressobj()
         try:
-            end = start + _SIZE.unpack(data[len(BUILDING_MAGIC) : start])[0]
-            decoder = zlib.decompressobj()
-            content = json.loads(decoder.decompress(data[start:end], _MOST_BYTES))
-            lo, hi = (np.array(content[name], np.float64) for name in ("lo", "hi"))
-            links = tuple(Link(*link) for link in content["links"])
-            if not (
-                decoder.eof
-                and lo.shape == hi.shape == (len(lo), 2)
-                and (lo < hi).all()
-                and np.isfinite([lo, hi]).all()
-            ):
-                raise ValueError("bounds of floors")
-            require_integer("goals", content["goals"], 0)
-        except (struct.error, zlib.error, TypeError, KeyError, ValueError) as error:
-            raise ValueError(f"its floors and links are invalid ({error})") from None
-        return Floors(lo, hi, links, content["goals"]), data[end:]
+            text = decoder.decompress(data[start:end], _MOST_BYTES).decode()
+        except (zlib.error, UnicodeDecodeError) as error:
+            raise ValueError(f"its floors and links are damaged: {error}") from None
+        if not decoder.eof or decoder.unused_data:
+            raise ValueError("its floors and links end too early, or are too long")
+        return Floors.of_text(text), data[end:]

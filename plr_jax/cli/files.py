@@ -49,7 +49,7 @@ def query(
     header. Tables may have any length.
     """
     from plr_jax._files import errors_named
-    from plr_jax.plr import load_numpy
+    from plr_jax.buildings import load_numpy
     from plr_jax.plr.container import holds_pairs, read_bytes
 
     # 1. Read the file, a PLR without importing JAX.

@@ -85,7 +85,8 @@ def dijkstra(
 ) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " v"]]:
     """Return the distance of each vertex from the nearest source vertex, and its predecessor on the shortest path.
 
-    ``adjacency`` is that of a :class:`Graph`. Without a path the distance is ``inf``. The predecessor of a source, and of a vertex without a path, is negative.
+    ``adjacency`` is that of a :class:`Graph`. Without a path the distance is ``inf``. The predecessor of a source,
+    and of a vertex without a path, is negative.
     """
     several = np.ndim(source) > 0
     return sparse_graphs.dijkstra(adjacency, indices=source, return_predecessors=True, min_only=several)[:2]

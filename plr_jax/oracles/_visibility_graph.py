@@ -35,7 +35,6 @@ from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangle
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
-
 Pairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a goal and a corner, as indices
 GoalsInSight: TypeAlias = tuple[VisibilityTable, Pairs]
 
@@ -364,7 +363,7 @@ class VisibilityGraph(PickledWithoutCaches):
 def goals_in_sight(
     workspace: Workspace, corners: CornerVisibility, goals: Float[np.ndarray, "goals 2"]
 ) -> GoalsInSight:
-    """Return what goals see, distinct points of free space, and the pairs of a goal and a corner that see each other."""
+    """Return what goals, distinct points of free space, see, and the pairs of a goal and a corner in mutual sight."""
     table, (goal, vertex) = visibility_of(workspace.triangulation, viewpoints_at(workspace.triangulation, goals))
     return table, _mutual_pairs(corners, table, goal, corners.of_vertex[vertex])
 
@@ -409,7 +408,7 @@ class NearestPaths:
         order = np.lexsort((offsets, *place.T))
         kept = np.sort(order[np.append(True, (place[order[1:]] != place[order[:-1]]).any(axis=1))])
         # 2. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
-        #    all paths: an arc leads there from each goal. As paths are searched from their end, all arcs are reversed.
+        #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
         count, vertices = len(kept), corners.corners.with_goal(*goals[kept])
         table, (goal, corner) = goals_in_sight(workspace, corners, goals[kept])
         end = len(vertices.points)
