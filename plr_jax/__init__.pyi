@@ -41,6 +41,7 @@ from .oracles import VisibilityGraph as VisibilityGraph
 from .oracles import VoxelGraph as VoxelGraph
 from .oracles import exact_lower_bound as exact_lower_bound
 from .oracles import robot_distance_fns as robot_distance_fns
+from .pairs import BuildingPairs as BuildingPairs
 from .pairs import GridPairs as GridPairs
 from .pairs import MetricPairs as MetricPairs
 from .pairs import PairPLR as PairPLR

@@ -37,7 +37,9 @@ from plr_jax.plr.frame import Outside, as_outside, require_resolved, unresolved_
 from plr_jax.plr.query import length_of
 
 if TYPE_CHECKING:
+    from plr_jax.buildings import Building
     from plr_jax.geometry.workspace import Workspace
+    from plr_jax.pairs.building_pairs import BuildingPairs
 
 
 _BLOCKS = (2**10, 2**14)  # pairs in a block of compiled code: in small and in large batches
@@ -246,7 +248,7 @@ class PairPLR(FileBacked):
     @property
     def num_corners(self) -> int:
         """Number of corners where paths turn."""
-        return len(self.stored.corner)
+        return self.stored.num_corners
 
     def __repr__(self) -> str:
         try:
@@ -256,17 +258,19 @@ class PairPLR(FileBacked):
             return "PairPLR(of arrays that are traced, stacked or replaced)"
 
 
-def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR:
-    """Build a PairPLR: distances between any two points of a planar workspace.
+def construct_pairs(workspace: "Workspace | Building", *, max_bytes: int | None = None) -> "PairPLR | BuildingPairs":
+    """Build a PairPLR: distances between any two points of a planar workspace, or BuildingPairs for a building.
 
     The common call names a budget in bytes:
 
         pairs = plr_jax.construct_pairs(workspace, max_bytes=1024)
         pairs(x, y)  # distances (n,) of points x and y, both (n, 2)
 
+    For a :class:`Building`, ``pairs((floor_x, x), (floor_y, y))`` also takes links.
+
     Args:
         workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
-            count twice), else ``ValueError``.
+            count twice), else ``ValueError``. Or a building, whose ends of links also count.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
             corners alone take more.
 
@@ -295,6 +299,11 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
+    if hasattr(workspace, "plane_floors"):
+        from plr_jax.pairs.building_pairs import BuildingPairs
+
+        stored, data = construct_stored(workspace.plane, max_bytes, workspace.corners)
+        return BuildingPairs(workspace.plane_floors, PairPLR(padded_file(data), stored))
     stored, data = construct_stored(workspace, max_bytes)
     return PairPLR(padded_file(data), stored)
 
