@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import (
     PickledWithoutCaches,
-    as_numbers,
+    as_offsets,
     as_point,
     as_points,
     as_queries,
@@ -64,11 +64,13 @@ class NearestGoal(PickledWithoutCaches):
             )
         graphs = tuple(fn for fn in fns if isinstance(fn, VisibilityGraph))
         share_map = len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1
-        form = f"{len(fns)} finite numbers of at least 0, one per goal"
-        costs = as_numbers("offsets", np.zeros(len(fns)) if offsets is None else offsets, form)
-        if costs.shape != (len(fns),) or not ((costs >= 0) & np.isfinite(costs)).all():
-            raise ValueError(f"offsets must be {form}, got {shortened(offsets)}.")
-        set_fields(self, distance_fns=fns, offsets=costs, dim=fns[0].dim, _graphs=graphs if share_map else ())
+        set_fields(
+            self,
+            distance_fns=fns,
+            offsets=as_offsets(offsets, len(fns)),
+            dim=fns[0].dim,
+            _graphs=graphs if share_map else (),
+        )
 
     @cached_property
     def _paths(self) -> NearestPaths:
