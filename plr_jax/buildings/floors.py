@@ -165,7 +165,7 @@ class Floors:
             if (rest := self.shift - first).any():  # floors far from the origin: the sum so far is exact
                 p = p + module.asarray(rest.astype(np.float32))[floor]
             p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
-        return module.where(inside[..., None] | module.isnan(x), p, np.inf)
+        return module.where(inside[..., None] | module.isnan(p), p, np.inf)
 
     def next_links(self, root: Any) -> Any:
         """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""

@@ -124,9 +124,10 @@ def with_places(
     views = viewpoints_at(triangulation, places)
     table, (place, vertex) = visibility_of(triangulation, views)
     # 1. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
-    place, corner = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
+    pairs = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
+    place, corner = pairs[:, pairs[1] >= 0]
     at = views.points[place]
-    joined = (corner >= 0) & visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
+    joined = visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
     # 2. Join places that see each other.
     a, b = np.triu_indices(len(places), 1)
     sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a])

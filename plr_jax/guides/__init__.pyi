@@ -1,6 +1,6 @@
 from . import any_two_points as any_two_points
-from . import c_and_javascript as c_and_javascript
 from . import buildings as buildings
+from . import c_and_javascript as c_and_javascript
 from . import changing_map as changing_map
 from . import command_line as command_line
 from . import cost_distance as cost_distance

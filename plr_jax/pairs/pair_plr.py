@@ -109,6 +109,7 @@ class PairPLR(FileBacked):
         and have no gradient in the goals, which have 32 bits. With ``outside="clamp"``, distances are still ``inf``
         to a goal outside the domain. Use the result only with the same PairPLR. ``ValueError`` as for a call.
         """
+        self._require_no_links("Distances to prepared goals")
         goals = self._from_middle("goals", goals)
         # 1. Few goals: NumPy compiles nothing.
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
@@ -163,7 +164,12 @@ class PairPLR(FileBacked):
         first turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for
         bit.
         """
+        self._require_no_links("JavaScript")
         return js_pairs_module(self.to_bytes(), self.domain)
+
+    def _require_no_links(self, name: str) -> None:
+        if self.tables.has_arcs:
+            raise ValueError(f"{name} cannot take links of a building: use the BuildingPairs, or a PLR of each goal.")
 
     def _answer(
         self,
