@@ -239,10 +239,7 @@ def size_in_eighths(n: int) -> int:
 
 def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
     """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all."""
-    result = np.empty((size, *rows.shape[1:]), rows.dtype)
-    result[: len(rows)] = rows
-    result[len(rows) :] = fill
-    return result
+    return np.concatenate([rows, np.full((size - len(rows), *rows.shape[1:]), fill, rows.dtype)])
 
 
 def as_bool(name: str, value: object) -> bool:

@@ -255,16 +255,13 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
     Errors call the value ``name``.
     """
-    if isinstance(ring, LinearRing):
-        ring = Polygon(ring)
-    if isinstance(ring, Polygon | MultiPolygon):
-        if ring.is_empty:
-            return ring
-        polygon, points = ring, shapely.get_coordinates(ring)
-    elif isinstance(ring, BaseGeometry):
+    ring = Polygon(ring) if isinstance(ring, LinearRing) else ring
+    is_polygon = isinstance(ring, Polygon | MultiPolygon)
+    if isinstance(ring, BaseGeometry) and not is_polygon:
         raise ValueError(f"{name} must be a polygon, got a {ring.geom_type}; widen lines and points with buffer().")
-    else:
-        points, polygon = as_numbers(name, ring, "numbers of shape (n, 2)"), None
+    if is_polygon and ring.is_empty:
+        return ring
+    points = shapely.get_coordinates(ring) if is_polygon else as_numbers(name, ring, "numbers of shape (n, 2)")
     if points.ndim != 2 or points.shape[1] != 2:
         hint = " Put a single ring into a list." if points.shape == (2,) else ""
         raise ValueError(f"{name} must have shape (n, 2), got {points.shape}.{hint}")
@@ -276,9 +273,8 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
         raise ValueError(f"{name} has {num} distinct vertices; a polygon needs at least three.")
     if shapely.area(shapely.convex_hull(shapely.multipoints(points))) <= 1e-12 * np.ptp(points, axis=0).max() ** 2:
         raise ValueError(f"{name} has zero area: all its vertices lie on one line.")
-    polygon = Polygon(points) if polygon is None else polygon
-    if not polygon.is_valid:
-        polygon = _repaired(name, polygon)
+    polygon = ring if is_polygon else Polygon(points)
+    polygon = polygon if polygon.is_valid else _repaired(name, polygon)
     if polygon.is_empty:
         raise ValueError(f"{name} has no area outside of its holes: leave it out, or leave out the holes.")
     return polygon
@@ -303,11 +299,9 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
     polygon = Polygon(ring)
     inside = polygon if polygon.is_valid else MultiPolygon(polygons_of(shapely.make_valid(polygon)))
     if abs(inside.area - polygon.area) > _MEETING * ring.length**2:
-        reason = shapely.is_valid_reason(polygon)
-        raise ValueError(
-            f"{name} is not a simple polygon ({reason}): split it into rings that do not cross, or repair it with "
-            "shapely.make_valid, which keeps what an odd number of turns surround."
-        )
+        got = f"{name} is not a simple polygon ({shapely.is_valid_reason(polygon)})"
+        repair = "repair it with shapely.make_valid, which keeps what an odd number of turns surround"
+        raise ValueError(f"{got}: split it into rings that do not cross, or {repair}.")
     return inside
 
 
@@ -326,10 +320,8 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
             continue
         rings = part.get("holes", ()) if isinstance(part, Mapping) and "outer" in part else None
         if not isinstance(rings, list | tuple | np.ndarray):
-            raise ValueError(
-                f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', or a Shapely polygon, "
-                f"got {shortened(part)}."
-            )
+            expected = "a mapping with an 'outer' ring and a list of 'holes', or a Shapely polygon"
+            raise ValueError(f"Component {i} must be {expected}, got {shortened(part)}.")
         blocked = [as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)]
         outer = as_polygon(f"Outer ring {i}", part["outer"])
         polygons.append(shapely.difference(outer, shapely.union_all(blocked)))
@@ -361,14 +353,12 @@ def grid_at(tolerance: float) -> float:
 
 def advice_on_cells(value: object) -> str:
     """Return advice for an error message if ``value`` is an array of pixels or voxels, else an empty text."""
-    if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
-        return ""
-    if value.ndim == 2:
-        return " For pixels, use Workspace.from_mask(free)."
-    return (
-        " For volumes, use VoxelSpace(free) with solve_eikonal, VoxelGraph(free, goal), or GridField for distances "
-        "that another library computed."
-    )
+    other_library = "GridField for distances that another library computed"
+    advice = {
+        2: " For pixels, use Workspace.from_mask(free).",
+        3: f" For volumes, use VoxelSpace(free) with solve_eikonal, VoxelGraph(free, goal), or {other_library}.",
+    }
+    return advice.get(value.ndim, "") if isinstance(value, np.ndarray) else ""
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
@@ -384,20 +374,16 @@ def as_bounds(value: Box | ArrayLike) -> Box:
         raise ValueError(f"A workspace must have 2 dimensions, got bounds of {bounds.dim}.")
     if bounds.is_periodic:
         raise ValueError(f"A workspace must not have periodic axes, got {bounds}.")
-    if max(np.abs(bounds.lo).max(), np.abs(bounds.hi).max()) > LARGEST_COORDINATE:
-        raise ValueError(
-            f"A workspace must have coordinates up to {LARGEST_COORDINATE:g}, got {bounds}: choose a larger unit."
-        )
+    if np.abs([bounds.lo, bounds.hi]).max() > LARGEST_COORDINATE:
+        expected = f"coordinates up to {LARGEST_COORDINATE:g}"
+        raise ValueError(f"A workspace must have {expected}, got {bounds}: choose a larger unit.")
     if bounds.width.max() < 1 / LARGEST_COORDINATE:
-        raise ValueError(
-            f"A workspace's longer side must be at least {1 / LARGEST_COORDINATE:g}, got {bounds}: choose a smaller "
-            "unit."
-        )
+        expected = f"at least {1 / LARGEST_COORDINATE:g}"
+        raise ValueError(f"A workspace's longer side must be {expected}, got {bounds}: choose a smaller unit.")
     if (tolerance := 1e3 * rounding_of(bounds)) > _COARSEST * bounds.width.min():
-        raise ValueError(
-            f"A workspace's shorter side must be at least {1 / _COARSEST:g} times its tolerance, {tolerance:g}, got "
-            f"{bounds}: choose less slender bounds, or move the origin nearer to them."
-        )
+        expected = f"at least {1 / _COARSEST:g} times its tolerance, {tolerance:g}"
+        advice = "choose less slender bounds, or move the origin nearer to them"
+        raise ValueError(f"A workspace's shorter side must be {expected}, got {bounds}: {advice}.")
     return bounds
 
 
@@ -468,10 +454,9 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
     coarser = 32 * grid
     while (boundary := ring_boundary(region, 8 * grid)) is None:
         if coarser > 256 * grid:
-            raise ValueError(
-                f"Obstacles leave walls or gaps that are too thin: make them thicker than {coarser:.1e} or leave "
-                "them out. If the workspace is far from the origin, translate it there first."
-            )
+            advice = f"make them thicker than {coarser:.1e} or leave them out"
+            far = "If the workspace is far from the origin, translate it there first."
+            raise ValueError(f"Obstacles leave walls or gaps that are too thin: {advice}. {far}")
         # Morphological opening removes spikes of free space, which snapping could widen to a passage.
         for radius in (-coarser / 2, coarser / 2):
             region = shapely.buffer(region, radius, join_style="mitre", mitre_limit=1e3)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax import _arrays
+from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 
 FreeFn: TypeAlias = Callable[[Float[np.ndarray, "n dim"]], ArrayLike]  # whether each point is free, (n,)
@@ -43,9 +44,7 @@ class Box:
         axes = (False,) * lo.size if periodic is None else periodic
         axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
         if len(axes) != lo.size:
-            raise ValueError(
-                f"Box periodic must be {lo.size} bools, one per axis, got {_arrays.shortened(periodic)}."
-            )
+            raise ValueError(f"Box periodic must be {lo.size} bools, one per axis, got {shortened(periodic)}.")
         periodic = tuple(_arrays.as_bool("Each of Box periodic", axis) for axis in axes)
         _arrays.set_fields(self, lo=lo, hi=hi, periodic=periodic)
 
@@ -57,9 +56,7 @@ class Box:
         try:
             lo, hi = value
         except (TypeError, ValueError):
-            raise ValueError(
-                f"{name} must be a Box or its corners (lo, hi), got {_arrays.shortened(value)}."
-            ) from None
+            raise ValueError(f"{name} must be a Box or its corners (lo, hi), got {shortened(value)}.") from None
         return cls(lo, hi)
 
     @property
@@ -231,16 +228,15 @@ class Slice:
         at = {} if at is None else at
         are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
         if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):
-            raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {_arrays.shortened(at)}.")
+            raise ValueError(f"at must map axes to coordinates, such as {{2: 0.5}}, got {shortened(at)}.")
         shown = [axis for axis in range(domain.dim) if axis not in at]
         if len(shown) != 2:
-            raise ValueError(
-                f"A picture has two axes, so at must fix {domain.dim - 2} of {domain.dim} coordinates, got {len(at)}."
-            )
+            expected = f"at must fix {domain.dim - 2} of {domain.dim} coordinates"
+            raise ValueError(f"A picture has two axes, so {expected}, got {len(at)}.")
         point = (domain.lo + domain.hi) / 2
         point[list(at)] = _arrays.as_finite_point("The coordinates of at", list(at.values())) if at else []
         if not domain.contains(point[None])[0]:
-            raise ValueError(f"at must lie in {domain}, got {_arrays.shortened(dict(at))}.")
+            raise ValueError(f"at must lie in {domain}, got {shortened(dict(at))}.")
         return cls(domain, (shown[0], shown[1]), domain.wrapped(point))
 
     @property

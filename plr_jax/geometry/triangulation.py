@@ -267,9 +267,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     is_clockwise = cross_product(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[is_clockwise] = corners[is_clockwise, ::-1]
     # 3. Find the indices of the triangles' vertices by coordinates: complex numbers are ordered by x, then y.
-    keys = vertices @ [1, 1j]
-    order = np.argsort(keys)
-    triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
+    triangles = index_of(vertices @ [1, 1j], corners.reshape(-1, 2) @ [1, 1j]).reshape(-1, 3)
     # 4. Insert the missing walls one by one, in integer arithmetic.
     missing = _missing_edges(triangles, boundary.edges, len(vertices))
     if len(missing):

@@ -49,17 +49,15 @@ class VoxelGrid:
         voxels.flags.writeable = False
         box = Box(np.zeros(voxels.ndim), voxels.shape) if bounds is None else Box.of(bounds, "The bounds")
         if box.dim != voxels.ndim:
-            raise ValueError(
-                f"The bounds must have {voxels.ndim} axes, as free[x, y, ...] has, got {shortened(bounds)}."
-            )
+            expected = f"{voxels.ndim} axes, as free[x, y, ...] has"
+            raise ValueError(f"The bounds must have {expected}, got {shortened(bounds)}.")
         if box.is_periodic:
             raise ValueError(f"The bounds of voxels must not have periodic axes, got {box}.")
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
         if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / voxels.shape).min() < least:
-            raise ValueError(
-                f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, "
-                f"got {voxels.shape} of them in {box}: choose fewer voxels, or bounds less slender or nearer to zero."
-            )
+            expected = f"sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}"
+            advice = "choose fewer voxels, or bounds less slender or nearer to zero"
+            raise ValueError(f"Voxels must have {expected}, got {voxels.shape} of them in {box}: {advice}.")
         return cls(voxels, box)
 
     @property
@@ -153,13 +151,12 @@ class VoxelGrid:
         the table means the face between voxels ``k`` and ``k + 1`` along a normal axis, and voxel ``k`` along any
         other axis.
         """
-        contacts = []
-        for num_across in range(2, self.dim + 1):
-            for across in combinations(range(self.dim), num_across):
-                touches = are_disconnected(self.padded, across)
-                if touches.any():
-                    contacts.append((across, Sums.of(touches)))
-        return contacts
+        return [
+            (across, Sums.of(touches))
+            for num_across in range(2, self.dim + 1)
+            for across in combinations(range(self.dim), num_across)
+            if (touches := are_disconnected(self.padded, across)).any()
+        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, require_integer, set_fields, shortened
-from plr_jax._types import FAR_AWAY, ArrayLike, BoxTest, Reach
+from plr_jax._types import FAR_AWAY, ArrayLike, BoxTest, Points, Reach
 from plr_jax.geometry import boundary
 from plr_jax.geometry.boundary import Boundary, Region, as_bounds, grid_of, merge_vertices, prepared_geometry
 from plr_jax.geometry.box import Box
@@ -382,10 +382,8 @@ class Workspace:
                 require_integer("Each number of an obstacle to remove", item, 0)
                 number = int(item)
             if not 0 <= number < len(self.obstacles) or self.obstacles[number].is_empty:
-                raise ValueError(
-                    f"remove must be numbers of obstacles, below {len(self.obstacles)}, or polygons that equal one, "
-                    f"and not removed already, got {shortened(item)}."
-                )
+                expected = f"numbers of obstacles, below {len(self.obstacles)}, or polygons that equal one"
+                raise ValueError(f"remove must be {expected}, and not removed already, got {shortened(item)}.")
             numbers.add(number)
         return numbers
 
@@ -404,9 +402,7 @@ class Workspace:
         return corner[pick] + u * first[pick] + v * second[pick]
 
 
-def joined_parts(
-    parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
-) -> Bool[np.ndarray, " parts"]:
+def joined_parts(parts: Any, points: Points, tolerance: float, may_squeeze: bool) -> Bool[np.ndarray, " parts"]:
     """Return whether each polygon of ``parts`` comes within ``tolerance`` of one of the points.
 
     If ``may_squeeze``, the result is also True for every polygon that a chain of touching polygons joins to such a
