@@ -34,10 +34,8 @@ def parse_goals(texts: Sequence[str], form: str = "X,Y") -> Float[np.ndarray, "g
     except ValueError:
         goals = np.empty(0)
     if goals.shape != (len(texts), dim := form.count(",") + 1) or not np.isfinite(goals).all():
-        got = " and ".join(texts) or "none"
-        raise ValueError(
-            f"--goal must be {dim} numbers {form} in one argument, such as {'1,' * (dim - 2)}3,28, got {got}."
-        )
+        expected = f"{dim} numbers {form} in one argument, such as {'1,' * (dim - 2)}3,28"
+        raise ValueError(f"--goal must be {expected}, got {' and '.join(texts) or 'none'}.")
     return goals
 
 

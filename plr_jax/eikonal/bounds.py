@@ -107,11 +107,9 @@ class CostToGoField:
         allowed = _OFF * np.maximum(lower, _NEAR * self._lower_at_corners.max())
         is_off = np.maximum(-excess, excess + lower - upper) > allowed
         if is_off.any() and not isinstance(self.space, CheckedFreeTest):  # nothing is proven of a sampled space
-            warnings.warn(
-                f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside of its "
-                "bounds. The PLR answers the nearer bound there. Allow more max_leaves.",
-                stacklevel=5,
-            )
+            reason = f"At {is_off.mean():.1%} of the corners of cells the estimate was more than a tenth outside"
+            advice = "The PLR answers the nearer bound there. Allow more max_leaves."
+            warnings.warn(f"{reason} of its bounds. {advice}", stacklevel=5)
         values = np.zeros(mesh.corners.shape)
         values[cell] = np.minimum(lower + _filled(np.maximum(excess, 0.0), node), upper)
         return MeshEstimate(mesh, values, self.reach)

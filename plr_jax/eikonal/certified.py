@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import parts, ragged_indices
-from plr_jax.eikonal.bounds import CostToGoField, MeshEstimate
+from plr_jax.eikonal.bounds import AtCorners, CostToGoField, MeshEstimate
 from plr_jax.eikonal.elements import basis
 from plr_jax.eikonal.goals import Goals, Points
 from plr_jax.eikonal.program import ROUNDING, Numbers
@@ -136,10 +136,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     if contents.cut_off is not None:
         is_lost &= ~contents.cut_off
     if is_lost[leaf].any():
-        raise ValueError(
-            "Nothing can be proven: some leaves answer inf, although some of their points, which no sample met, may "
-            "reach the goal. Allow more max_bytes, or leave it out."
-        )
+        reason = "some leaves answer inf, although some of their points, which no sample met, may reach the goal"
+        raise ValueError(f"Nothing can be proven: {reason}. Allow more max_bytes, or leave it out.")
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     at = lo[:, None] + (hi - lo)[:, None] * corners
     t = np.ldexp(at, cells.depth[leaf][:, None]) - cells.position[leaf][:, None]  # local coordinates of the leaf
@@ -166,8 +164,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     if isinstance(field.space, VoxelSpace) and field.program.costs.cost_map is None:
         upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
     rounding = contents.leaf.rounding_bounds(contents.domain, cells, coefficients) + changes
-    certificate = Certificate.of(lower, upper, rounding, Proof.OPEN_LEAVES)
-    return replace(contents, certificate=certificate, straight=straight)
+    return replace(contents, certificate=Certificate.of(lower, upper, rounding, Proof.OPEN_LEAVES), straight=straight)
 
 
 def _straight_bound_of(field: CostToGoField, max_bytes: int | float) -> StraightBound | None:
@@ -200,11 +197,8 @@ def straight_bound(
     rates = (1 - _LENGTH_MARGIN) * least_rate * np.array([weight for _, weight in blocks])
     costs = rates * largest
     # A number takes 4 bytes: coordinates of goals, the group and about one rate for each axis.
-    if (
-        4 * (len(goals) + 2) * domain.dim > _STRAIGHT_BYTES * max_bytes
-        or len(goals) > MOST_GOALS
-        or not ((costs > _LEAST_LENGTH) & (costs < _MOST_LENGTH)).all()
-    ):  # one goal with the rate 0
+    fits = 4 * (len(goals) + 2) * domain.dim <= _STRAIGHT_BYTES * max_bytes and len(goals) <= MOST_GOALS
+    if not (fits and ((costs > _LEAST_LENGTH) & (costs < _MOST_LENGTH)).all()):  # one goal with the rate 0
         goals, rates, blocks = np.zeros((1, domain.dim)), np.zeros(1), ((tuple(range(domain.dim)), 0.0),)
     groups = np.array([np.isin(np.arange(domain.dim), axes) for axes, _ in blocks], float)
     rates = np.float32(rates).astype(float)
@@ -215,17 +209,14 @@ def straight_bound(
 
 
 def _above_voxel_paths(
-    field: CostToGoField,
-    space: VoxelSpace,
-    cells: Cells,
-    coefficients: Float[np.ndarray, "leaves corners"],
-    across: Float[np.ndarray, "leaves dim"],  # largest change of each leaf's function f across the leaf, by axis
+    field: CostToGoField, space: VoxelSpace, cells: Cells, coefficients: AtCorners, across: Points
 ) -> Float[np.ndarray, " leaves"]:
     """Return an upper bound of (cost-to-go - leaf function) in each leaf, from paths along the centers of voxels.
 
-    ``cells`` are the leaves, and ``coefficients`` the values of each leaf function at the corners of its leaf. The
-    bound is ``inf`` if the leaf overlaps a free voxel without a path to a goal. All bounds are ``inf`` if the space
-    has a radius, more than 2**24 voxels, or not three axes.
+    ``cells`` are the leaves, and ``coefficients`` the values of each leaf function f at the corners of its leaf.
+    ``across`` is the largest change of each leaf's f across the leaf, by axis, ``(leaves, dim)``. The bound is
+    ``inf`` if the leaf overlaps a free voxel without a path to a goal. All bounds are ``inf`` if the space has a
+    radius, more than 2**24 voxels, or not three axes.
     """
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.
     # Let p be c clipped to the leaf's box. Along each axis, p lies between c and x: |x - p| <= |x - c| <= side / 2.

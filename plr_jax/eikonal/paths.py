@@ -14,13 +14,12 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csc_array
-from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.goals import Points, nearest_goals
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
-from plr_jax.geometry.graph import path_ends
+from plr_jax.geometry.graph import dijkstra, path_ends
 from plr_jax.plr.tree import corner_bits
 from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 
@@ -216,8 +215,8 @@ class _FreeGraph:
         num = len(self.points)
         # An edge from a to b is in column a and row b: it is reversed, as Dijkstra's algorithm starts at the goals.
         # So a node's predecessor is the next node of its path.
-        graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
-        cost, previous, _ = dijkstra(graph, indices=self.goals, return_predecessors=True, min_only=True)
+        graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num)).tocsr()
+        cost, previous = dijkstra(graph, self.goals)
         next_ = np.where(previous < 0, self.goals[0], previous)
         next_[self.goals] = self.goals
         return next_, np.where(np.isfinite(cost), cost - cost[next_], np.inf)

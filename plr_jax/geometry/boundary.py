@@ -33,8 +33,7 @@ _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
-VertexRows: TypeAlias = Int[np.ndarray, " some_vertices"]
-EdgeRows: TypeAlias = Int[np.ndarray, " some_edges"]
+Indices: TypeAlias = Int[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +166,7 @@ def match_boundary(
 
 
 def vertices_near_edges(
-    vertices: Vertices, edges: Edges, tolerance: float, some_vertices: VertexRows, some_edges: EdgeRows
+    vertices: Vertices, edges: Edges, tolerance: float, some_vertices: Indices, some_edges: Indices
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
     """Return the pairs of a vertex and an edge within ``tolerance`` of each other, as two arrays of indices.
 
@@ -424,8 +423,7 @@ def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> An
     The result is cached by owner, name and thread, so that ``make`` is called once for each.
     """
     # GEOS may crash if threads share a prepared geometry.
-    of_owners = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary())  # in this thread
-    of_owner = of_owners.setdefault(owner, {})
+    of_owner = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary()).setdefault(owner, {})  # in this thread
     if name not in of_owner:
         of_owner[name] = make()
         shapely.prepare(of_owner[name])

@@ -195,10 +195,9 @@ class Box:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Box):
+        if not isinstance(other, Box) or self.periodic != other.periodic:
             return False
-        same_corners = np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
-        return same_corners and self.periodic == other.periodic
+        return np.array_equal(self.lo, other.lo) and np.array_equal(self.hi, other.hi)
 
     def __hash__(self) -> int:
         return hash((self.lo.tobytes(), self.hi.tobytes(), self.periodic))

@@ -315,8 +315,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     polygons, touches = _free_polygons(free)
     rings, polygon = shapely.get_rings(polygons, return_index=True)
     points, ring = shapely.get_coordinates(rings, return_index=True)
-    is_repeated = np.append(ring[1:] != ring[:-1], True)
-    points = points[~is_repeated]
+    points = points[np.append(ring[1:] == ring[:-1], False)]
     start = np.append(0, np.cumsum(np.bincount(ring) - 1))
     outlines = PixelRings(points[:, ::-1], start, touches[tuple(points.astype(int).T)])
     # 2. Simplify the rings, and join them to polygons again. The first ring of each polygon is its shell.

@@ -89,9 +89,7 @@ def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batc
     return np.asarray(np.arctan2(cross_product(u, v), (u * v).sum(axis=-1)) % (2 * np.pi))
 
 
-def arc(
-    center: Vector, start: Vector, end: Vector, num_chords: int | np.integer, outside: bool = False
-) -> Float[np.ndarray, "points 2"]:
+def arc(center: Vector, start: Vector, end: Vector, num_chords: int | np.integer, outside: bool = False) -> Vectors:
     """Divide an arc into equal chords, and return the points where they begin and end.
 
     The arc leads counterclockwise from ``center + start`` to ``center + end``. If ``outside``, return instead the

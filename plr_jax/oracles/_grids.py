@@ -35,6 +35,7 @@ class _CellGraph(ABC):
     dim: ClassVar[int]
     """Number of coordinates of a point."""
     bounds: Box
+    """The box that the cells fill."""
     _padded: Bool[np.ndarray, "..."]  # whether each cell is free
     _steps: Any  # free steps between neighbors: a sparse matrix of lengths, or a bit for each voxel and direction
     _to_goal: Distances  # distance of each cell to the goal
@@ -117,7 +118,8 @@ class GridGraph(_CellGraph):
         if not cells.size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
-        set_fields(self, free=cells, connectivity=int(connectivity), goal=None)
+        set_fields(self, free=cells, _padded=np.pad(cells, 1), bounds=Box(np.zeros(2), cells.shape[::-1]))
+        set_fields(self, connectivity=int(connectivity), goal=None)
         if goal is not None:
             self._set_goal(goal)
 
@@ -168,15 +170,6 @@ class GridGraph(_CellGraph):
         distances[:, ~self._padded.ravel()] = np.inf  # also of blocked cells from themselves
         return distances
 
-    @cached_property
-    def _padded(self) -> Bool[np.ndarray, "rows columns"]:
-        return np.pad(self.free, 1)
-
-    @property
-    def bounds(self) -> Box:
-        """The box that the cells fill."""
-        return Box(np.zeros(2), self.free.shape[::-1])
-
     def _cells_at(self, x: Points) -> Int[np.ndarray, " n"]:
         rows, columns = self.free.shape
         inside = np.logical_and.reduce((x >= 0) & (x < (columns, rows)), axis=1)
@@ -216,7 +209,7 @@ class VoxelGraph(_CellGraph):
         if isinstance(moves, bool) or moves not in _AXES:
             raise ValueError(f"moves must be 6, 18 or 26, got {shortened(moves)}.")
         grid = VoxelGrid.of(free, bounds, range(3, 4))
-        set_fields(self, grid=grid, free=grid.free, bounds=grid.bounds, moves=int(moves))
+        set_fields(self, grid=grid, free=grid.free, bounds=grid.bounds, moves=int(moves), _padded=grid.padded)
         self._set_goal(goal)
 
     def __repr__(self) -> str:
@@ -234,10 +227,6 @@ class VoxelGraph(_CellGraph):
         # A point on a face is in two voxels: take the upper one, but on the upper bound of the grid the last voxel.
         number = np.where(self.bounds.hi[:, None] == x.T, below, above)
         return np.where(inside, np.ravel_multi_index(tuple(number), self.grid.padded.shape), 0)
-
-    @property
-    def _padded(self) -> Bool[np.ndarray, "x y z"]:
-        return self.grid.padded
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, " voxels"]]:
@@ -320,17 +309,14 @@ class GridField:
         expected = f"distances on a grid of {bounds.dim} axes"
         numbers = np.array(as_numbers("values", filled_with_inf(values), expected), order="C")
         if numbers.ndim != bounds.dim or numbers.size == 0:
-            raise ValueError(
-                f"values must be {expected}, as the bounds have, the last one along x, with at least one cell, got "
-                f"shape {numbers.shape}."
-            )
+            must = f"{expected}, as the bounds have, the last one along x, with at least one cell"
+            raise ValueError(f"values must be {must}, got shape {numbers.shape}.")
         numbers[np.isnan(numbers)] = np.inf
         if numbers.min() < 0:
             cell = tuple(map(int, np.unravel_index(np.argmin(numbers), numbers.shape)))
-            raise ValueError(
-                f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask cells without a distance, and use "
-                "np.maximum(values, 0) for a field that is negative inside the goal."
-            )
+            mask = "mask cells without a distance"
+            clip = "use np.maximum(values, 0) for a field that is negative inside the goal"
+            raise ValueError(f"values must be at least 0, got {numbers[cell]:g} at {cell}; {mask}, and {clip}.")
         must = f"free must be booleans like values, of shape {numbers.shape}, none masked"
         is_free = np.isfinite(numbers) if free is None else as_cells(must, free, numbers.shape.__eq__)
         numbers.flags.writeable = is_free.flags.writeable = False

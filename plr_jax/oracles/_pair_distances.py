@@ -246,8 +246,7 @@ class PairDistances(PickledWithoutCaches):
                 entries = in_batch[part]
                 last, entry = take_ragged(at_y.first, at_x.point[entries])
                 onward = between[row[entries][entry] - begin, at_y.corner[last]] + at_y.distance[last]
-                first = np.append(0, np.cumsum(counts[part]))
-                length[entries] = _run_minima(onward, first)
+                length[entries] = _run_minima(onward, np.append(0, np.cumsum(counts[part])))
         # 2. Minimize |x - i| + `length` over the entries i of each x.
         return _run_minima(at_x.distance + length, at_x.first)
 

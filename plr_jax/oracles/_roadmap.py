@@ -233,10 +233,8 @@ class Roadmap:
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
         """Build the roadmap of a point robot in a workspace, with exact edge tests; see the class for arguments."""
         require_workspace(workspace)
-        goal = workspace.settled(goal)
-        oracle = cls(
-            workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible
-        )
+        arguments = workspace.bounds, workspace.is_free, workspace.settled(goal), num_samples
+        oracle = cls(*arguments, seed=seed, is_visible=workspace.is_visible)
         _arrays.set_fields(oracle, _workspace=workspace)
         return oracle
 
@@ -353,11 +351,10 @@ class Roadmap:
             length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
             through = length + distances[vertex]
             through[(length <= inner) | np.isinf(length)] = np.nan
-            # 3. Take the shortest path whose first vertex is visible. If none is, the column is -1, and so is the
-            #    vertex in the last column, which is appended.
+            # 3. Take the shortest path whose first vertex is visible. If none is, the column is -1.
             column, shortest = first_visible(through, partial(sees, batch, vertex), at_once=1)
-            vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
-            distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), column[:, 0]]
+            vertex = np.where(column < 0, -1, np.take_along_axis(vertex, column, axis=1))
+            distance[rows], first[rows] = shortest[:, 0], vertex[:, 0]
         return distance, first
 
 

@@ -136,8 +136,7 @@ class Animation:
             raise ValueError(f"An animation must be written to a .gif or .html file, got {str(path)!r}.")
 
     def __repr__(self) -> str:
-        steps = len(self.motion.times)
-        return f"Animation({len(self.problem.robots)} robots, {steps} steps, {self.seconds:g} s)"
+        return f"Animation({len(self.problem.robots)} robots, {len(self.motion.times)} steps, {self.seconds:g} s)"
 
     def _repr_html_(self) -> str:
         bounds = self.problem.workspace.bounds

@@ -89,8 +89,7 @@ def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], 
     """
     size = _PANEL * box.width / box.width.max()
     total = size + np.add(before, after)
-    figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")
-    return figure.add_axes((*(before / total), *(size / total)))
+    return Figure(figsize=tuple(total), dpi=dpi, facecolor="white").add_axes((*(before / total), *(size / total)))
 
 
 def new_axes_3d(box: Box, label: str) -> Axes3D:
@@ -106,8 +105,7 @@ def new_axes_3d(box: Box, label: str) -> Axes3D:
 
 
 def _ink(ax: Axes) -> None:
-    axes = [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else [])
-    for axis in axes:
+    for axis in [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else []):
         axis.label.set(fontsize=FONT_SIZE, color=INK)
     ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
 

@@ -116,8 +116,7 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
-    inside = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))
-    y0, y1 = inside[[0, -1], 1]
+    y0, y1 = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))[[0, -1], 1]
     middle = (y0 + y1) / 2
     half = 0.28 * abs(y1 - y0)
     return np.array([[x, middle - half], [x, middle + half]])
@@ -201,8 +200,7 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
             around = [center + ((corners @ u).max() + 0.62 * size) * u for u in _AROUND]
             place = _least_covered(around, occupied, size)
             occupied.append(_square(place, size))
-            text = add_number(ax, i, place, color_of(i))
-            text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
+            add_number(ax, i, place, color_of(i)).set_path_effects([withStroke(linewidth=1.8, foreground="white")])
 
 
 def number_size(ax: Axes, i: int) -> float:

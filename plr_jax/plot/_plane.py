@@ -80,12 +80,11 @@ def _pieces(plr: _axes.FunctionsOfLeaves, workspace: Workspace | None) -> list[F
     pieces = [corners for parts_of_cell in parts for corners in parts_of_cell]
     if not pieces:
         return []
-    # 2. Evaluate the leaf of each corner, in one call for all corners.
+    # 2. Evaluate the leaf of each corner, in one call for all corners, and raise the corners to these heights.
     points = np.concatenate(pieces)
     leaf = np.repeat(plr.leaf_of_box, [sum(map(len, parts_of_cell)) for parts_of_cell in parts])
-    heights = np.split(plr.values_in_leaves(leaf, points), np.cumsum([len(corners) for corners in pieces])[:-1])
-    # 3. Join corners and heights to points in space.
-    placed = [np.column_stack(piece) for piece in zip(pieces, heights, strict=True)]
+    raised = np.column_stack([points, plr.values_in_leaves(leaf, points)])
+    placed = np.split(raised, np.cumsum([len(corners) for corners in pieces])[:-1])
     return [piece for piece in placed if np.isfinite(piece).all()]
 
 

@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool
@@ -18,7 +17,6 @@ _MOST_RANK = 4
 _MOST_LIST_BYTES = 2**25
 _SMALL_LIST = 2**24  # voxels of a volume that a list of any size may have
 _VOXELS_PER_BYTE = 2**8  # most voxels per byte of a list, for larger volumes
-Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
 
 
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
@@ -110,7 +108,7 @@ def _read_voxel_array(path: Path) -> Bool[np.ndarray, "..."]:
     return np.array(numbers, dtype=bool, order="C")
 
 
-def _read_voxel_list(path: Path) -> Voxels:
+def _read_voxel_list(path: Path) -> Bool[np.ndarray, "x y z"]:
     """Read which voxels are free from a text file that lists the blocked ones, after a line with the grid's shape."""
     text = text_of(path, _MOST_LIST_BYTES)
     header, _, body = text.partition("\n")
