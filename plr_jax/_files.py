@@ -165,7 +165,9 @@ def write_atomically(path: Path, data: bytes) -> None:
     Devices and pipes are written directly, without this guarantee.
     """
     # 1. Write to a device or pipe directly: it must not be replaced.
-    mode = path.stat().st_mode if path.exists() else None
+    mode = None
+    with suppress(FileNotFoundError):
+        mode = os.stat(path).st_mode
     if mode is not None and not stat.S_ISREG(mode):
         path.write_bytes(data)
         return

@@ -151,9 +151,7 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     return Boundary(vertices, edges, sector_end[: len(edges)])
 
 
-def match_boundary(
-    vertices: Vertices, edges: Edges, old: Boundary
-) -> tuple[Int[np.ndarray, " old_vertices"], Int[np.ndarray, " old_edges"]]:
+def match_boundary(vertices: Vertices, edges: Edges, old: Boundary) -> tuple[Indices, Indices]:
     """Return the index in ``vertices`` of each vertex of ``old``, and the index in ``edges`` of each edge of ``old``.
 
     The index is -1 for vertices and edges that do not exist any more.

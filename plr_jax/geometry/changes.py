@@ -56,13 +56,11 @@ class Change:
         segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
         points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
         group = connected_groups(len(points), index.reshape(-1, 2).T)
-        num_groups = group.max(initial=-1) + 1
         # 2. Find the bounding box of each group.
-        lo, hi = np.full((num_groups, 2), np.inf), np.full((num_groups, 2), -np.inf)
-        np.minimum.at(lo, group, points)
-        np.maximum.at(hi, group, points)
-        corners = zip(lo - margin, hi + margin, strict=True)
-        return [np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) for (x0, y0), (x1, y1) in corners]
+        order = np.argsort(group, kind="stable")
+        boxes = shapely.bounds(shapely.multipoints(points[order], indices=group[order]))
+        grown = boxes + margin * np.array([-1, -1, 1, 1])
+        return [np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) for x0, y0, x1, y1 in grown]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:

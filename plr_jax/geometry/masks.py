@@ -106,48 +106,38 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
 
     Also return, for each station, whether it is a contact: a point where two diagonal free pixels touch.
     """
-    # A ring r of k corners has 2 k + 1 stations before middles are dropped. If its first corner is number n of all
-    # rings' corners, its corners are the stations of_corner = 2 n + r, 2 n + r + 2, ... The last repeats the first:
+    # A ring of k corners has 2 k + 1 stations before middles are dropped: its first corner comes again at the end.
     #
     #      corner   middle of its run   corner   middle   ...   corner   middle   first corner again
     #      first                                                                  last
     #
-    # 1. Let each ring begin at its first contact, if it has any: `corner[i]` is the corner in place of corner i.
-    size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
+    # 1. List the corners of each ring from its first contact on, if it has any, and the first corner again.
+    size = np.diff(outlines.start)
     ring, place = ragged_indices(size)
-    shift = np.zeros(num_rings, dtype=int)
+    shift = np.zeros(len(size), dtype=int)
     contacts = np.flatnonzero(outlines.is_contact)[::-1]  # reversed, so that the first contact of a ring is kept
     shift[ring[contacts]] = place[contacts]
+    ring, place = ragged_indices(size + 1)
     corner = outlines.start[ring] + (place + shift[ring]) % size[ring]
-    next_corner = outlines.start[ring] + (place + 1 + shift[ring]) % size[ring]
-    # 2. Place the stations.
-    of_corner = 2 * np.arange(len(ring)) + ring
-    first, last = of_corner[outlines.start[:-1]], of_corner[outlines.start[1:] - 1] + 2
-    source = np.empty(2 * len(ring) + num_rings, dtype=int)  # corner of each station
-    source[of_corner] = source[of_corner + 1] = corner
-    source[last] = corner[outlines.start[:-1]]
-    points = outlines.points[source]
-    points[of_corner + 1] = (outlines.points[corner] + outlines.points[next_corner]) / 2
-    is_corner = np.ones(len(source), dtype=bool)
-    is_corner[of_corner + 1] = False
+    points, is_contact = outlines.points[corner], outlines.is_contact[corner]
+    is_last = place == size[ring]
+    # 2. Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
+    row, ahead = np.arange(len(ring)), np.roll(points, -1, axis=0)
+    along = ahead - points  # the run after each corner; of no meaning after the last one of a ring
+    run_before = np.where(place > 0, row - 1, row + size[ring] - 1)
+    turn = np.sign(cross_product(along[run_before], along))
+    turn[is_contact] = 1.0  # at a contact the ring may go on along either run: both turn left there
+    turn[is_last] = turn[place == 0]
+    is_kept = np.ones((len(ring), 2), dtype=bool)  # of each corner, and of the middle of the run after it
+    is_kept[:, 1] = ~is_last & (turn != np.roll(turn, -1))
     # 3. Find the end of each station: the next contact, or else the last station of the ring, which is its own end.
-    is_contact = outlines.is_contact[source] & is_corner
-    is_end = is_contact.copy()
-    is_end[first], is_end[last] = False, True
-    ends = np.flatnonzero(is_end)
-    end = ends[np.minimum(np.searchsorted(ends, np.arange(len(source)), side="right"), len(ends) - 1)]
-    end[last] = last
-    # 4. Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
-    along = outlines.points[next_corner] - outlines.points[corner]
-    ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])  # the next run
-    turn = np.empty(len(ring))  # at the start of each run
-    turn[ahead] = np.sign(cross_product(along, along[ahead]))
-    turn[outlines.is_contact[corner]] = 1.0  # at a contact the ring may go on along either run: both turn left there
-    is_kept = np.ones(len(source), dtype=bool)
-    is_kept[of_corner + 1] = turn != turn[ahead]
+    ends = np.flatnonzero((is_contact & (place > 0)) | is_last)
+    end = np.where(is_last, row, ends[np.minimum(np.searchsorted(ends, row, side="right"), len(ends) - 1)])
+    # 4. Join corners and middles.
     index = np.cumsum(is_kept) - 1
-    ring_of = np.repeat(np.arange(num_rings), 2 * size + 1)
-    return _Stations(points[is_kept], ring_of[is_kept], is_corner[is_kept], index[end[is_kept]]), is_contact[is_kept]
+    row, is_middle = np.nonzero(is_kept)
+    stations = np.stack([points, (points + ahead) / 2], axis=1)[row, is_middle]
+    return _Stations(stations, ring[row], is_middle == 0, index[2 * end[row]]), is_contact[row] & (is_middle == 0)
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:

@@ -185,8 +185,7 @@ class Sums:
         total = np.zeros(first.shape[1], self.table.dtype)
         for corner in product((0, 1), repeat=len(first)):
             at = sum(end[axis] if bit else begin[axis] for axis, bit in enumerate(corner))
-            sign = 1 - 2 * ((len(first) - sum(corner)) % 2)
-            total += sign * self.table[at]
+            total += (-1) ** corner.count(0) * self.table[at]
         return total
 
 

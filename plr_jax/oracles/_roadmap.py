@@ -48,8 +48,9 @@ class Metric:
         return np.where(self.domain.periodic, around, self.weights * x)
 
 
-IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, " n"]]
-IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, " n"]]
+Flags: TypeAlias = Bool[np.ndarray, " n"]
+IsFree: TypeAlias = Callable[[Points], Flags]
+IsVisible: TypeAlias = Callable[[Points, Points], Flags]
 _BATCH = 2**18  # configurations tested at a time: a few tens of megabytes
 _EDGES_A_STEP = 2**15  # edges tested between two updates of the progress bar
 # Sampling gives up after so many draws if a smaller part of them is free.
@@ -103,7 +104,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
     return pairs[visible].astype(np.int32)
 
 
-def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, " n"]:
+def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Flags:
     # The test is called only for configurations in the domain; others are not free.
     inside = domain.contains(x)
     if inside.any():
@@ -111,15 +112,13 @@ def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray
     return inside
 
 
-def _checked_is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, " n"]:
+def _checked_is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Flags:
     if len(a) == 0:
         return np.zeros(0, dtype=bool)
     return _arrays.as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
 
 
-def _is_visible_sampled(
-    metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
-) -> Bool[np.ndarray, " n"]:
+def _is_visible_sampled(metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points) -> Flags:
     """Return whether the straight motion from each ``a[i]`` to ``b[i]``, two free configurations, is free.
 
     Only configurations on the motion at most ``resolution`` apart are tested.
