@@ -245,8 +245,7 @@ def _above_voxel_paths(
     # 3. The largest length(c) - f(p) over the free voxels that hold points of each leaf.
     lo, hi = cells.grown_boxes(space.domain)
     first = np.clip(grid.numbers(lo.T)[0].T, 1, space.free.shape)
-    last_voxel = np.clip(grid.numbers(hi.T)[1].T, 1, space.free.shape)
-    counts = last_voxel - first + 1
+    counts = np.clip(grid.numbers(hi.T)[1].T, 1, space.free.shape) - first + 1
     above = np.full(len(cells), -np.inf)
     for batch in parts(counts.prod(axis=1), _PAIRS_AT_ONCE):
         leaf, voxel = enumerate_boxes(first[batch], counts[batch])

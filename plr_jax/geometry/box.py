@@ -189,10 +189,9 @@ class Box:
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
         _arrays.require_integer("resolution", resolution, 1)
-        columns, rows = np.maximum(1, np.rint(resolution * self.width / self.width.max())).astype(int)
-        x = self.lo[0] + self.width[0] * (np.arange(columns) + 0.5) / columns
-        y = self.lo[1] + self.width[1] * (np.arange(rows) + 0.5) / rows
-        return np.stack(np.meshgrid(x, y), axis=-1)
+        counts = np.maximum(1, np.rint(resolution * self.width / self.width.max())).astype(int)
+        along = zip(self.lo, self.width, counts, strict=True)
+        return np.stack(np.meshgrid(*(lo + width * (np.arange(n) + 0.5) / n for lo, width, n in along)), axis=-1)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Box) or self.periodic != other.periodic:

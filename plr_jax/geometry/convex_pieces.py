@@ -65,10 +65,9 @@ def areas(pieces: Pieces) -> Numbers:
 
 def boxes_as_pieces(lo: Corners, hi: Corners) -> Float[np.ndarray, "2 n room"]:
     # Counterclockwise from the lower left corner; the last corner, 3, is repeated.
-    corner = np.minimum(np.arange(ROOM), 3)
-    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)[:, corner]
-    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)[:, corner]
-    return np.stack([x, y])
+    (x0, y0), (x1, y1) = lo.T, hi.T
+    corners = np.array([[x0, x1, x1, x0], [y0, y0, y1, y1]]).transpose(0, 2, 1)
+    return corners.take(np.minimum(np.arange(ROOM), 3), axis=2)
 
 
 def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float) -> Bool[np.ndarray, "pieces k"]:

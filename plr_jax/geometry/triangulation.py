@@ -115,8 +115,7 @@ class Triangulation(PickledWithoutCaches):
         first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
         # 3. Find the line n . x = d of each side, with the inward normal n.
         normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
-        offset = (normal * triangles).sum(axis=2, keepdims=True)
-        lines = np.concatenate([normal, offset], axis=2)
+        lines = np.concatenate([normal, (normal * triangles).sum(axis=2, keepdims=True)], axis=2)
         return Locator(lo, width, (int(count[0]), int(count[1])), first, triangle[order].astype(np.int32), lines)
 
     @cached_property
@@ -205,9 +204,8 @@ class Triangulation(PickledWithoutCaches):
         """
         # Breadth-first search of triangles, for all segments at once: state pair * num + triangle. The neighbors of a
         # level lie in this level, the one before, or the next one, so only two levels are remembered.
-        lines: Any = shapely.linestrings
         num = len(self.triangles)
-        segments = lines(np.stack([a.x, b.x], axis=1))
+        segments: Any = shapely.linestrings(np.stack([a.x, b.x], axis=1))
         # 1. List the half-edges that start at contact c: around[first[c] : first[c + 1]].
         contacts = index_of(self.boundary.contacts, self.origin)
         around = np.argsort(contacts, kind="stable")
@@ -221,7 +219,7 @@ class Triangulation(PickledWithoutCaches):
             pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
             # 3. Go on through sides near the segment.
             corners = self.triangles[triangle]
-            sides = lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
+            sides: Any = shapely.linestrings(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
             twin, contact = (table.reshape(-1, 3)[triangle] for table in (self.twin, contacts))
             row, side = np.nonzero((twin >= 0) & shapely.dwithin(segments[pair, None], sides, tolerance))
             onward = pair[row] * np.int64(num) + twin[row, side] // 3

@@ -71,9 +71,10 @@ class VoxelGrid:
     @cached_property
     def faces(self) -> list[Float[np.ndarray, "faces"]]:
         """Coordinates of the faces along each axis, ascending, with ``-inf`` in front and ``inf`` at the end."""
-        fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
-        inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
-        return [np.concatenate([[-np.inf], of_axis, [np.inf]]) for of_axis in inner]
+        inner = (
+            self.bounds.at(np.arange(num + 1)[:, None] / num).T[axis] for axis, num in enumerate(self.free.shape)
+        )
+        return [np.pad(of_axis, 1, constant_values=(-np.inf, np.inf)) for of_axis in inner]
 
     @cached_property
     def padded(self) -> Cells:
@@ -120,8 +121,7 @@ class VoxelGrid:
                     begin, end = first[:, rows], last[:, rows]
                     inner_end = end if inward > 0 else begin
                     inner_end[axis] = moved[axis, rows] + inward * (num_layers - 1)
-                    num_voxels = np.prod(np.maximum(end - begin + 1, 0), axis=0)
-                    is_blocked = self.num_blocked(begin, end) == num_voxels
+                    is_blocked = self.num_blocked(begin, end) == np.prod(np.maximum(end - begin + 1, 0), axis=0)
                     least[rows] = np.where(is_blocked, num_layers, least[rows])
                     most[rows] = np.where(is_blocked, most[rows], num_layers - 1)
                 moved[axis] += inward * least

@@ -337,8 +337,7 @@ class Workspace:
         free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
-        bounds = Box(self.bounds.lo + radius, self.bounds.hi - radius)
-        return Workspace._from_free_space(bounds, free, self.squeeze)
+        return Workspace._from_free_space(Box(self.bounds.lo + radius, self.bounds.hi - radius), free, self.squeeze)
 
     def with_obstacles(self, add: Any = (), remove: Any = ()) -> "Workspace":
         """Return the workspace after obstacles are added and removed.

@@ -137,8 +137,7 @@ class PairDistances(PickledWithoutCaches):
         is_free = self.workspace.is_free_to_tolerance
         hidden = hidden[is_free(x[hidden]) & is_free(y[hidden])]
         hidden = hidden[np.argsort(x[hidden] @ [1, 1j], kind="stable")]  # so that batches share points and corners
-        counts = self._candidates(x[hidden])[0] + self._candidates(y[hidden])[0]
-        for part in parts(counts, _CANDIDATES):
+        for part in parts(self._candidates(x[hidden])[0] + self._candidates(y[hidden])[0], _CANDIDATES):
             pairs = hidden[part]
             distance[pairs] = self._by_corners(x[pairs], y[pairs])
         return distance

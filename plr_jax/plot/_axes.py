@@ -111,8 +111,7 @@ def _ink(ax: Axes) -> None:
 
 
 def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
-    place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
-    style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
+    style_colorbar(ax.figure.colorbar(mappable, cax=ax.inset_axes((1.035, 0.0, 0.045, 1.0)), extend=extend), label)
 
 
 def style_colorbar(bar: Colorbar, label: str) -> None:

@@ -156,17 +156,15 @@ def plot_contours(
     # 1. Evaluate a grid of points.
     points = shown.grid(resolution)
     values = np.ma.masked_invalid(np.asarray(plr(points), dtype=np.float64))
-    is_free = np.ones(points.shape[:2], bool)
-    if workspace is not None:
-        is_free = workspace.is_free(points[..., :2].reshape(-1, 2)).reshape(is_free.shape)
-    elif space is not None:
-        is_free = space.is_free(points.reshape(-1, shown.domain.dim)).reshape(is_free.shape)
+    tester, dim = (space, shown.domain.dim) if workspace is None else (workspace, 2)
+    tested = points[..., :dim].reshape(-1, dim)
+    is_free = (np.ones(len(tested), bool) if tester is None else tester.is_free(tested)).reshape(values.shape)
     # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
-    goals: Any = None
     cut_off: Any = []
     if goal is not None:
         given = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
         goals = plr.domain.wrapped(np.reshape(given, (-1, plr.domain.dim)))[:, list(shown.axes)]
+        ax.plot(*goals.T, "*", ms=11, mfc="white", mec=_axes.INK, mew=0.8, zorder=5, clip_on=False)
         if workspace is not None:
             parts = shapely.get_parts(workspace.free_space)
             is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
@@ -196,8 +194,6 @@ def plot_contours(
         _add_obstacles(workspace, ax)
         for polygon in cut_off:
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
-    if goals is not None:
-        ax.plot(*goals.T, "*", ms=11, mfc="white", mec=_axes.INK, mew=0.8, zorder=5, clip_on=False)
     _axes.add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 
@@ -263,8 +259,7 @@ def plot_error(
     # 3. Cover obstacles, and label.
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
-    clipped = "both" if finite.max() > largest else "min"
-    _axes.add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend=clipped)
+    _axes.add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend="both" if finite.max() > largest else "min")
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=_axes.FONT_SIZE, color=_axes.INK)
     return ax
 

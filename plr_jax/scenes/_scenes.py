@@ -303,6 +303,5 @@ def tangle() -> Problem:
 
 def _load_team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
     if not isinstance(num_robots, int | np.integer) or num_robots not in numbers:
-        choices = ", ".join(map(str, numbers))
-        raise ValueError(f"The scene {name} must have {choices} robots, got {num_robots!r}.")
+        raise ValueError(f"The scene {name} must have {', '.join(map(str, numbers))} robots, got {num_robots!r}.")
     return load(_FOLDER / f"{name}_{num_robots}.json")
