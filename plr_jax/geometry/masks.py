@@ -20,17 +20,10 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
 CLEARANCE = 0.25  # pixels: least distance between two segments of simplified outlines that share no end
+Points: TypeAlias = Float[np.ndarray, "n 2"]
+Numbers: TypeAlias = Int[np.ndarray, " n"]
 Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
-
-
-@dataclass(frozen=True, eq=False)
-class PixelRings:
-    """Outlines of areas of free pixels: simple rings of corners with the free pixels on the left."""
-
-    points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
-    start: Int[np.ndarray, " rings_and_1"]
-    is_contact: Bool[np.ndarray, " n"]  # whether two rings meet at a corner, between free pixels
 
 
 def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
@@ -64,24 +57,36 @@ def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
 class _Stations:
     """The *stations*: points of exact outlines of pixels at which simplified outlines may bend."""
 
-    points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
-    ring: Int[np.ndarray, " n"]  # the outline of each point; its first corner is repeated as its last point
+    points: Points  # corners and some middles of edges of outlines
+    ring: Numbers  # the outline of each point; its first corner is repeated as its last point
     is_corner: Bool[np.ndarray, " n"]
-    end: Int[np.ndarray, " n"]  # the next point that a segment must not pass: a contact, or the last one of the ring
+    end: Numbers  # the next point that a segment must not pass: a contact, or the last one of the ring
 
 
-def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """Simplify outlines: replace parts of them by straight segments.
+def _simplified(
+    points: Points, ring: Numbers, is_contact: Bool[np.ndarray, " n"], tolerance: float | int
+) -> tuple[Float[np.ndarray, "m 2"], Indices]:
+    """Simplify outlines of areas of free pixels: replace parts of them by straight segments.
 
-    A replaced part is within ``tolerance`` pixels of its segment.
+    A replaced part is within ``tolerance`` pixels of its segment. Outlines are simple rings of corners with the free
+    pixels on the left; each ring ends at its first corner.
+
+    Args:
+        points: The corners of all outlines.
+        ring: The number of the outline to which each corner belongs.
+        is_contact: Whether two rings meet at a corner, between free pixels.
+        tolerance: Largest distance of a replaced part from its segment, in pixels.
+
+    Returns:
+        The points of the simplified outlines, and the number of the outline to which each point belongs.
     """
     # A simplified outline is a chain of *links*, segments between *stations* of the exact outline: its corners, and
     # the middles of the steps of staircases, through which inclined walls are drawn. The longest possible links are
     # taken greedily (Imai and Iri, "Polygonal approximations of a curve", 1988). Links that come near others or
     # surround another ring are undone, so connectivity is preserved.
-    if tolerance == 0 or not len(outlines.points):
-        return outlines
-    stations, is_contact = _stations_of(outlines)
+    if tolerance == 0 or not len(points):
+        return points, ring
+    stations = _stations_of(points, ring, is_contact)
     # 1. Take the longest links, one after the other from the first station of each ring to its last one.
     onward = _farthest(stations, tolerance * (1 - 1e-9)).tolist()
     chain = []
@@ -94,37 +99,32 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     while links := _unwanted_links(stations, is_kept, tolerance):
         for begin, end in links:
             is_kept[begin:end] |= stations.is_corner[begin:end]
-    # 3. Drop the last station of each ring, which repeats the first.
-    is_last = np.append(stations.ring[1:] != stations.ring[:-1], True)
-    index = np.flatnonzero(is_kept & ~is_last)
-    count = np.bincount(stations.ring[index], minlength=len(outlines.start) - 1)
-    return PixelRings(stations.points[index], np.append(0, np.cumsum(count)), is_contact[index])
+    return stations.points[is_kept], stations.ring[is_kept]
 
 
-def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
+def _stations_of(points: Points, ring: Numbers, is_contact: Bool[np.ndarray, " n"]) -> _Stations:
     """Return the points of outlines at which simplified outlines may bend, called *stations*.
 
-    Also return, for each station, whether it is a contact: a point where two diagonal free pixels touch.
+    Arguments are those of :func:`_simplified`.
     """
     # A ring of k corners has 2 k + 1 stations before middles are dropped: its first corner comes again at the end.
     #
     #      corner   middle of its run   corner   middle   ...   corner   middle   first corner again
     #      first                                                                  last
     #
-    # 1. List the corners of each ring from its first contact on, if it has any, and the first corner again.
-    size = np.diff(outlines.start)
-    ring, place = ragged_indices(size)
-    shift = np.zeros(len(size), dtype=int)
-    contacts = np.flatnonzero(outlines.is_contact)[::-1]  # reversed, so that the first contact of a ring is kept
+    # 1. Let each ring begin at its first contact, if it has any.
+    count, row = np.bincount(ring), np.arange(len(ring))
+    _, place = ragged_indices(count)
+    shift = np.zeros(len(count), dtype=int)
+    contacts = np.flatnonzero(is_contact)[::-1]  # reversed, so that the first contact of a ring is kept
     shift[ring[contacts]] = place[contacts]
-    ring, place = ragged_indices(size + 1)
-    corner = outlines.start[ring] + (place + shift[ring]) % size[ring]
-    points, is_contact = outlines.points[corner], outlines.is_contact[corner]
-    is_last = place == size[ring]
+    size = count[ring] - 1
+    corner = row - place + (place + shift[ring]) % size
+    points, is_contact, is_last = points[corner], is_contact[corner], place == size
     # 2. Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
-    row, ahead = np.arange(len(ring)), np.roll(points, -1, axis=0)
+    ahead = np.roll(points, -1, axis=0)
     along = ahead - points  # the run after each corner; of no meaning after the last one of a ring
-    run_before = np.where(place > 0, row - 1, row + size[ring] - 1)
+    run_before = np.where(place > 0, row - 1, row + size - 1)
     turn = np.sign(cross_product(along[run_before], along))
     turn[is_contact] = 1.0  # at a contact the ring may go on along either run: both turn left there
     turn[is_last] = turn[place == 0]
@@ -137,10 +137,10 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
     index = np.cumsum(is_kept) - 1
     row, is_middle = np.nonzero(is_kept)
     stations = np.stack([points, (points + ahead) / 2], axis=1)[row, is_middle]
-    return _Stations(stations, ring[row], is_middle == 0, index[2 * end[row]]), is_contact[row] & (is_middle == 0)
+    return _Stations(stations, ring[row], is_middle == 0, index[2 * end[row]])
 
 
-def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
+def _farthest(stations: _Stations, tolerance: float) -> Numbers:
     """Return, for each station, the index of the farthest later station to which a straight link is allowed.
 
     Stations are the points of the exact outlines at which simplified outlines may bend. A link is a segment that
@@ -261,7 +261,7 @@ def placed_region(
     yaw = pose[2] if len(pose) == 3 else 0.0
     cosine, sine = math.cos(yaw), math.sin(yaw)
 
-    def placed(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    def placed(points: Points) -> Points:
         # Not a matrix product, which may round equal points differently: both corners of a contact must stay equal.
         x, y = resolution * points.T
         return pose[:2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
@@ -301,17 +301,13 @@ def as_mask(free: ArrayLike) -> Mask:
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     """Return the free pixels as a Shapely MultiPolygon in pixel units, simplified to ``tolerance`` pixels."""
-    # 1. Split the polygons into rings of points (x, y), without the last point, which repeats the first.
+    # 1. Split the polygons into rings of points (x, y).
     polygons, touches = _free_polygons(free)
     rings, polygon = shapely.get_rings(polygons, return_index=True)
     points, ring = shapely.get_coordinates(rings, return_index=True)
-    points = points[np.append(ring[1:] == ring[:-1], False)]
-    start = np.append(0, np.cumsum(np.bincount(ring) - 1))
-    outlines = PixelRings(points[:, ::-1], start, touches[tuple(points.astype(int).T)])
     # 2. Simplify the rings, and join them to polygons again. The first ring of each polygon is its shell.
-    outlines = simplified(outlines, tolerance)
-    ring, _ = ragged_indices(np.diff(outlines.start))
-    loops: Any = shapely.linearrings(outlines.points, indices=ring)
+    points, ring = _simplified(points[:, ::-1], ring, touches[tuple(points.astype(int).T)], tolerance)
+    loops: Any = shapely.linearrings(points, indices=ring)
     groups = np.split(loops, np.flatnonzero(np.diff(polygon)) + 1)
     return MultiPolygon([Polygon(group[0], group[1:]) for group in groups])
 
