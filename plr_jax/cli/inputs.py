@@ -29,10 +29,9 @@ _TABLE_HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field be
 
 def parse_goals(texts: Sequence[str], form: str = "X,Y") -> Float[np.ndarray, "goals dim"]:
     """Convert texts such as ``3,28``, numbers as in ``form``, to goals, ``(goals, dim)``; else ``ValueError``."""
-    try:
+    goals = np.empty(0)
+    with suppress(ValueError):
         goals = np.array([text.split(",") for text in texts], float)
-    except ValueError:
-        goals = np.empty(0)
     if goals.shape != (len(texts), dim := form.count(",") + 1) or not np.isfinite(goals).all():
         expected = f"{dim} numbers {form} in one argument, such as {'1,' * (dim - 2)}3,28"
         raise ValueError(f"--goal must be {expected}, got {' and '.join(texts) or 'none'}.")

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.voxels import spread
+from plr_jax.geometry.voxels import are_parted
 from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces._space import CellState, ConfigurationSpace, as_states
@@ -339,23 +339,16 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         is_inside = (((places > 0) & (places < 1)) | periodic).all(axis=2)
         is_open = (mesh.state[around] != CellState.BLOCKED) & is_inside
         # 3. Beside the edge, an open cell may be blocked: classify a small box between the edge and the place in it.
-        edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
+        edge, side = np.nonzero(is_open & are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * inset)
         lo, hi = np.minimum(middle[edge], beside) - half[edge], np.maximum(middle[edge], beside) + half[edge]
         is_open[edge, side] = space.classify(mesh.domain.at(lo), mesh.domain.at(hi)) != CellState.BLOCKED
         # 4. Blocked flush cells around edges whose open cells are still parted count as mixed. Being open now, they
         #    may touch other cells in an edge: repeat.
         becomes_mixed = np.zeros(len(mesh.state), bool)
-        becomes_mixed[around[_are_parted(is_open)]] = True
+        becomes_mixed[around[are_parted(is_open)]] = True
         becomes_mixed &= mesh.is_flush & (mesh.state == CellState.BLOCKED)
         if not becomes_mixed.any():
             break
         mesh = mesh.with_state(np.where(becomes_mixed, np.int8(CellState.MIXED), mesh.state))
     return mesh
-
-
-def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, " edges"]:
-    # Whether the open places around an edge or corner are not all connected through faces: a flood from the first
-    # open place misses another one.
-    is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
-    return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

@@ -236,14 +236,13 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
-    if not isinstance(shapes, Iterable):
+    if not isinstance(shapes, BaseGeometry | Iterable):
         raise ValueError(f"{name}s must be a list of rings (n, 2) or Shapely polygons, got {shortened(shapes)}.")
     return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_flatten_collections(shapes)))
 
 
-def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection) -> Iterator[Any]:
-    for shape in shapes:
+def _flatten_collections(shapes: BaseGeometry | Iterable[Any], kind: type = GeometryCollection) -> Iterator[Any]:
+    for shape in [shapes] if isinstance(shapes, BaseGeometry) else shapes:
         yield from _flatten_collections(shape.geoms, kind) if isinstance(shape, kind) else (shape,)
 
 
@@ -310,7 +309,6 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
     """
     # 1. Check each component, and subtract its holes.
     polygons = []
-    components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
         if isinstance(part, BaseGeometry):
             polygons.append(as_polygon(f"Component {i}", part))

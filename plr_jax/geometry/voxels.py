@@ -97,7 +97,7 @@ class VoxelGrid:
 
     @cached_property
     def _blocked(self) -> "Sums":
-        return Sums.of(~self.padded)
+        return Sums(~self.padded)
 
     def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         """Count blocked voxels in ranges of voxel numbers from ``first`` to ``last``, both included, along all axes.
@@ -152,26 +152,21 @@ class VoxelGrid:
         other axis.
         """
         return [
-            (across, Sums.of(touches))
+            (across, Sums(touches))
             for num_across in range(2, self.dim + 1)
             for across in combinations(range(self.dim), num_across)
             if (touches := are_disconnected(self.padded, across)).any()
         ]
 
 
-@dataclass(frozen=True, eq=False)
 class Sums:
     """A summed-area table of a boolean array (Crow, SIGGRAPH 1984), which counts the true entries of any range."""
 
-    table: Int[np.ndarray, "..."]
-    strides: Int[np.ndarray, " dim"]
-
-    @classmethod
-    def of(cls, array: Cells) -> "Sums":
+    def __init__(self, array: Cells):
         table = np.pad(array, [(1, 0)] * array.ndim).astype(np.int32 if array.size < 2**31 else np.int64)
         for axis in range(array.ndim):
             np.cumsum(table, axis=axis, out=table)
-        return cls(table.ravel(), np.array(table.strides) // table.itemsize)
+        self.table, self.strides = table.ravel(), np.array(table.strides) // table.itemsize
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         """Count the true entries in each range of indices from ``first`` to ``last``, both included, along all axes.
@@ -217,19 +212,15 @@ def are_disconnected(cells: Cells, across: Sequence[int]) -> Cells:
         side = dict(zip(across, sides, strict=True))  # of each axis across: 0 below, 1 above
         part = tuple(slice(side.get(axis, 0), n - 1 + side.get(axis, 1)) for axis, n in enumerate(cells.shape))
         around |= cells[part].astype(np.uint16) << np.uint16(bit)
-    return disconnected_sets(len(across))[around]
+    # Look the result up in a table of all sets of cells: bit i of a set's index says whether cell i is in the set.
+    num = 2 ** len(across)
+    return are_parted((np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1)[around]
 
 
-def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
-    """Return, for each set of voxels around a point, whether common faces fail to connect the set.
-
-    Of the ``2**num_axes`` voxels, a set contains voxel ``i`` if bit ``i`` of its index in the result is set.
-    """
-    num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
-    free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
-    first = np.zeros_like(free)
-    first[np.arange(len(free)), free.argmax(axis=1)] = True
-    return (free & ~spread(first & free, free)).any(axis=1)
+def are_parted(free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, " n"]:
+    """Return, for each row of ``2**dim`` voxels around a point, whether common faces fail to connect free voxels."""
+    first = free & (np.cumsum(free, axis=1) == 1)
+    return np.asarray((free & ~spread(first, free)).any(axis=1))
 
 
 def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
@@ -255,7 +246,7 @@ def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> 
 
     # 3. Make tests of boxes: whether a box meets any of some cells, by a summed-area table.
     def test_of(cells: Cells) -> BoxTest:
-        sums = Sums.of(np.ascontiguousarray(cells))
+        sums = Sums(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
             begin, end = ((domain.lo + x * domain.width - bounds.lo) / bounds.width * shape for x in (lo, hi))

@@ -87,11 +87,10 @@ def load(path: str | os.PathLike[str]) -> Problem:
 
 def is_scene(path: str | os.PathLike[str]) -> bool:
     """Return whether the file ``path`` is JSON that declares itself a scene of this format, of any version."""
-    try:
+    with suppress(ValueError):
         scene = json_of(Path(path))
-    except ValueError:
-        return False
-    return isinstance(scene, dict) and scene.get("format") == format_name(_KIND)
+        return isinstance(scene, dict) and scene.get("format") == format_name(_KIND)
+    return False
 
 
 def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
