@@ -4,6 +4,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -17,16 +18,14 @@ class _Commands(TyperGroup):
     """The group of all subcommands, which prints each error or warning as one line, and equal warnings only once."""
 
     def invoke(self, ctx: Any) -> Any:
-        shown: set[str] = set()
+        warn_once = cache(warn)
 
         def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
             from plr_jax.plr import ConstructionInterrupted  # slow to import
 
             if issubclass(category, ConstructionInterrupted):
                 raise KeyboardInterrupt  # as Ctrl-C would: the command must not go on with an incomplete PLR
-            if str(message) not in shown:
-                shown.add(str(message))
-                warn(str(message))
+            warn_once(str(message))
 
         try:
             with warnings.catch_warnings():  # restores `showwarning` at the end

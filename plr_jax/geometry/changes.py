@@ -103,10 +103,10 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     kept = np.flatnonzero(is_half_kept)
     new_index = np.where(is_half_kept, np.cumsum(is_half_kept) - 1, -1)
     origin = np.concatenate([vertex[kept], vertex_of_gap[fill.origin]])
-    wall_of_edge = np.append(walls, np.full(len(rims), -1))
-    wall = np.concatenate([wall[kept], np.where(fill.wall >= 0, wall_of_edge[fill.wall], -1)])
-    kept_twin = np.where(old.twin[kept] >= 0, new_index[old.twin[kept]], -1)
-    twin = np.concatenate([kept_twin, np.where(fill.twin >= 0, fill.twin + len(kept), -1)])
+    wall_of_edge = np.append(walls, np.full(len(rims) + 1, -1))  # also -1 at index -1, inside the gap
+    wall = np.concatenate([wall[kept], wall_of_edge[fill.wall]])
+    fill_twin = np.where(fill.twin >= 0, fill.twin + len(kept), -1)
+    twin = np.concatenate([np.append(new_index, -1)[old.twin[kept]], fill_twin])
     # 4. Link the half-edges of the gap along the rims with the kept ones beyond.
     along_rim = np.flatnonzero(fill.wall >= len(walls))
     beyond = new_index[old.twin[rims[fill.wall[along_rim] - len(walls)]]]
@@ -164,10 +164,8 @@ def changed_visibility(
     goal_corners = seen[view == len(changed)] if is_goal_changed else new_of_matched[of_goal[1]]
     new_view = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
     # 4. Keep the edges between unchanged corners.
-    new_of_unchanged = np.full(len(old.corners.points), -1)
-    new_of_unchanged[reused[unchanged]] = unchanged
-    edges = new_of_unchanged[old.edges]
-    edges = edges[(edges >= 0).all(axis=1)]
+    edges = new_of_matched[old.edges]
+    edges = edges[(np.append(reused, -1)[edges] >= 0).all(axis=1)]
     # 5. Add the edges of recomputed corners. An edge joins corners that see one another. A pair (view, seen) shows
     #    one direction. If `seen` was recomputed too, its own pairs show the other direction; if it is unchanged, look
     #    up in the table whether it sees `view`.

@@ -373,10 +373,9 @@ def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[H
     is_blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
     passage = np.flatnonzero(~is_blocked)
     part = connected_groups(len(triangles), np.stack([passage, twin[passage]]) // 3)
-    free = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
+    is_free = np.isin(part, part[np.flatnonzero(wall >= 0) // 3])
     # 3. Number the half-edges of the free triangles.
-    new_index = np.full(len(triangles), -1)
-    new_index[free] = np.arange(len(free))
-    rows = (3 * free[:, None] + np.arange(3)).ravel()
+    new_index = np.cumsum(is_free) - 1
+    rows = np.flatnonzero(np.repeat(is_free, 3))
     twin = np.where(is_blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
     return triangles.ravel()[rows].astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)

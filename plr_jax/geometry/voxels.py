@@ -234,8 +234,7 @@ def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> 
     # 1. Repeat cells along periodic axes, a period more on either side.
     shape = np.array(reached.shape)
     padding = np.where(bounds.periodic, shape, 0)
-    pairs = np.stack([padding, padding], axis=1)
-    reached, cut_off = (np.pad(cells, pairs, mode="wrap") for cells in (reached, cut_off))
+    reached, cut_off = (np.pad(cells, padding[:, None], mode="wrap") for cells in (reached, cut_off))
     # 2. Find the cells that may hold far points: points of two cells are at most a cell's diagonal farther apart than
     #    the cells' centers.
     far = np.zeros_like(cut_off)

@@ -184,8 +184,7 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
     solid, dashed = shapes[:num_robots], [shape.exterior for shape in shapes[num_robots:]]
     occupied = [*shapes, shapely.box(*bounds.lo, *bounds.hi).exterior]
     for k, (robot, q, shape) in enumerate(zip(robots, ends, shapes, strict=True)):
-        i = k % num_robots
-        is_goal = k >= num_robots
+        is_goal, i = divmod(k, num_robots)
         center = q[:2]
         size = number_size(ax, i)
         fits = 2 * robot.inscribed_radius >= 0.75 * size

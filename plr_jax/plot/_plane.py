@@ -92,8 +92,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
     solid: list[Corners] = []
     for part in polygons_of(shapely.intersection(shapely.Polygon(cell), workspace.free_space)):
         # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
-        has_holes = shapely.get_num_interior_rings(part) > 0
-        solid += list(triangulate(part)) if has_holes else [shapely.get_coordinates(part)[:-1]]
+        solid += list(triangulate(part)) if part.interiors else [shapely.get_coordinates(part)[:-1]]
     return solid
 
 
