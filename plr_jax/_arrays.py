@@ -8,7 +8,7 @@ unless stated otherwise.
 import math
 import reprlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import reduce
@@ -105,12 +105,9 @@ def as_cells(
 
 def _if_traced(value: object) -> str:
     """Return advice for an error message if :func:`is_traced` holds for a value, else an empty text."""
-    if not is_traced(value):
-        return ""
-    return (
-        " Workspaces, oracles and planners take concrete arrays, not those that JAX traces: inside jit, call them by "
-        "jax.pure_callback. For distances on traced maps, use grid_distance."
-    )
+    reason = "Workspaces, oracles and planners take concrete arrays, not those that JAX traces"
+    advice = "inside jit, call them by jax.pure_callback. For distances on traced maps, use grid_distance."
+    return f" {reason}: {advice}" if is_traced(value) else ""
 
 
 def is_single(value: ArrayLike) -> bool:
@@ -271,6 +268,11 @@ def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     # A slice ends before each item at which the sum of counts reaches or passes a multiple of `most`.
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
+
+
+def slices(count: int, size: int) -> Iterator[slice]:
+    """Split ``count`` items into consecutive slices of ``size`` items; the last one may have fewer."""
+    return (slice(begin, begin + size) for begin in range(0, count, size))
 
 
 def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

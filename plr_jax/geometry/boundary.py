@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from plr_jax._arrays import PickledWithoutCaches, as_numbers, index_of, shortened
+from plr_jax._arrays import PickledWithoutCaches, as_numbers, index_of, shortened, slices
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import connected_groups
@@ -222,16 +222,15 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     is_reflex = boundary.is_reflex()
     regions = []
-    for begin in range(0, len(strips), _COLLARS):
-        collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
-        for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
+    for part in slices(len(strips), _COLLARS):
+        collars = np.asarray(shapely.polygons(strips[part])).tolist()
+        for edge in part.start + np.flatnonzero(is_reflex[part]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
             rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge], outside)
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     while len(regions) > 1:
-        starts = range(0, len(regions), _REGIONS)
-        regions = [shapely.disjoint_subset_union_all(regions[begin : begin + _REGIONS]) for begin in starts]
+        regions = [shapely.disjoint_subset_union_all(regions[part]) for part in slices(len(regions), _REGIONS)]
     return regions[0]
 
 

@@ -10,6 +10,8 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import slices
+
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
 Numbers: TypeAlias = Float[np.ndarray, " pieces"]
 Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
@@ -142,8 +144,7 @@ def difference_of_cones(
     The difference is ``offset + |x - apex| - other_offset - |x - other_apex|``.
     """
     least, most = np.empty((2, len(offset)))
-    for begin in range(0, len(offset), _AT_ONCE):
-        rows = slice(begin, begin + _AT_ONCE)
+    for rows in slices(len(offset), _AT_ONCE):
         least[rows], most[rows] = _extremes(pieces[:, rows], apex[rows], other_apex[rows])
     shift = offset - other_offset
     return least + shift, most + shift

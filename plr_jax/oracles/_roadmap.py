@@ -97,10 +97,10 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
     """
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
-    begins = range(0, len(pairs), _EDGES_A_STEP)
-    for i in tqdm(begins, "Roadmap edges", unit=" edges", unit_scale=_EDGES_A_STEP, delay=3, disable=None):
-        start, end = pairs[i : i + _EDGES_A_STEP].T
-        visible[i : i + _EDGES_A_STEP] = is_visible(vertices[start], vertices[end])
+    steps = list(_arrays.slices(len(pairs), _EDGES_A_STEP))
+    for rows in tqdm(steps, "Roadmap edges", unit=" edges", unit_scale=_EDGES_A_STEP, delay=3, disable=None):
+        start, end = pairs[rows].T
+        visible[rows] = is_visible(vertices[start], vertices[end])
     return pairs[visible].astype(np.int32)
 
 
@@ -341,11 +341,10 @@ class Roadmap:
         def sees(batch, vertex, point, column):
             return self.is_visible(batch[point], vertices[vertex[point, column]])
 
-        begins = range(0, len(x), step)
-        for begin in tqdm(begins, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
+        steps = list(_arrays.slices(len(x), step))
+        for rows in tqdm(steps, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
             # 2. Find the near vertices, and the length of the path through each; NaN excludes a vertex.
             #    The tree refuses to look for no vertices.
-            rows = slice(begin, begin + step)
             batch, nearest = x[rows], np.arange(1, 1 + max(1, int(count[rows].max())))
             length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
             through = length + distances[vertex]

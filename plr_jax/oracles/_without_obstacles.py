@@ -41,7 +41,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_finite, as_finite_point, as_points, set_fields
+from plr_jax._arrays import as_finite, as_finite_point, as_points, set_fields, slices
 from plr_jax._types import ArrayLike, Distances, Symmetry
 
 Batch: TypeAlias = Float[np.ndarray, " n"]
@@ -127,8 +127,7 @@ class _Car(ABC):
         x = as_points("x", x, 3)
         lengths = np.empty(len(x))
         with np.errstate(all="ignore"):
-            for begin in range(0, len(x), _AT_ONCE):
-                part = slice(begin, begin + _AT_ONCE)
+            for part in slices(len(x), _AT_ONCE):
                 lengths[part] = reduce(np.fmin, (word.length for word in self._words(x[part]))) * self.radius
             # If squares overflow, the pose is so far away that turns add nothing to the straight line.
             poses = x[far := ~np.isfinite(lengths)]

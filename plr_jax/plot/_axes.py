@@ -47,7 +47,6 @@ def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = Tru
     ax = ax or new_axes(box if same_unit else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
     ax.set(xlim=(box.lo[0], box.hi[0]), ylim=(box.lo[1], box.hi[1]), aspect="equal" if same_unit else "auto")
     _label_axes(ax, shown.domain, shown.axes)
-    _ink(ax)
     ax.spines[:].set(color=INK, linewidth=0.7, zorder=4)
     return ax
 
@@ -58,6 +57,9 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
         if is_angle(domain, number):
             axis.set_major_locator(MultipleLocator(math.pi / 2))
             axis.set_major_formatter(FuncFormatter(_in_multiples_of_pi))
+    for axis in [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else []):
+        axis.label.set(fontsize=FONT_SIZE, color=INK)
+    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
 
 
 def is_angle(domain: Box, axis: int) -> bool:
@@ -98,16 +100,9 @@ def new_axes_3d(box: Box, label: str) -> Axes3D:
     assert isinstance(ax, Axes3D)
     ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
     ax.view_init(elev=32, azim=-125)
-    _label_axes(ax, box, (0, 1))
     ax.set_zlabel(label, labelpad=6)
-    _ink(ax)
+    _label_axes(ax, box, (0, 1))
     return ax
-
-
-def _ink(ax: Axes) -> None:
-    for axis in [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else []):
-        axis.label.set(fontsize=FONT_SIZE, color=INK)
-    ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
 
 
 def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
