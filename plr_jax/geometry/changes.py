@@ -149,11 +149,7 @@ def changed_visibility(
     reused = np.where(np.append(_may_see_change(old.table, change), True)[matched], -1, matched)
     is_goal_changed = bool(_may_see_change(of_goal[0], change)[0])
     unchanged, changed = np.flatnonzero(reused >= 0), np.flatnonzero(reused < 0)
-    viewpoints = views[changed]
-    if is_goal_changed:
-        points = np.concatenate([viewpoints.points, goal.points])
-        owner = np.append(viewpoints.owner, goal.owner + len(changed))
-        viewpoints = Viewpoints(points, owner, np.append(viewpoints.edge, goal.edge))
+    viewpoints = views[changed].append(goal) if is_goal_changed else views[changed]
     fresh, (view, vertex) = visibility_of(workspace.triangulation, viewpoints)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     # 3. Join what stays and what is recomputed.
