@@ -69,15 +69,14 @@ class NamedMap:
     @classmethod
     def of_label(cls, label: str) -> "NamedMap | None":
         """Convert a text such as :attr:`label` back to the map that it describes; None if it describes no map."""
-        try:
+        with suppress(ValueError, KeyError):
             name, *words = shlex.split(label)
             arguments = dict(word.removeprefix("--").split("=", 1) for word in words)
             goals = parse_goals(arguments.pop("goal").split(";")) if "goal" in arguments else None
             options = {key.replace("-", "_"): value for key, value in arguments.items()}
             named = cls(name, goals, {key: _OPTION_TYPES[key](value) for key, value in options.items()})
-        except (ValueError, KeyError):
-            return None
-        return named if name in SCENES or Path(name).suffix else None
+            return named if name in SCENES or Path(name).suffix else None
+        return None
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.

@@ -152,10 +152,9 @@ class CostToGoField:
             at = begin + width * space.lattice
             weights = basis(space.degree, at.reshape(-1, dim)).reshape(*at.shape[:2], -1)
             control = np.einsum("nij,nj->ni", weights, self._nodal[cells]) @ to_bernstein(space.degree, dim).T
-            function = values @ basis(1, space.lattice).T
             highest = control.max(axis=1)
             bent = np.interp(highest, *self._rescaling) - highest
-            by_program = (control - function).min(axis=1) + bent
+            by_program = (control - values @ basis(1, space.lattice).T).min(axis=1) + bent
             ends = (mesh.domain.at(mesh.fractions(cells, end[batch])) for end in (lo, hi))
             by_straight = (self._below_straight(*ends) - values).min(axis=1)
             below[batch] = np.maximum(by_program, by_straight) - spare

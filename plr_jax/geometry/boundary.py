@@ -32,7 +32,6 @@ _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter s
 _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
-Rows: TypeAlias = Int[np.ndarray, " m"]
 Indices: TypeAlias = Int[np.ndarray, " _"]
 
 
@@ -74,7 +73,7 @@ class Boundary(PickledWithoutCaches):
     def contact_tree(self) -> shapely.STRtree:
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
-    def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
+    def feet(self, x: Vertices, within: float | None = None) -> tuple[Indices, Indices, Float[np.ndarray, "m 2"]]:
         """Project points ``x`` onto their nearest edges; points farther than ``within`` from all edges are left out.
 
         If ``within`` is None, no point is left out.

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_cells, as_finite, as_numbers, ragged_indices, require_integer, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Points
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
@@ -20,7 +20,6 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
 CLEARANCE = 0.25  # pixels: least distance between two segments of simplified outlines that share no end
-Points: TypeAlias = Float[np.ndarray, "n 2"]
 Numbers: TypeAlias = Int[np.ndarray, " n"]
 Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]

@@ -109,8 +109,7 @@ class Triangulation(PickledWithoutCaches):
         # 2. Find the triangles that meet each cell, grown by the tolerance.
         corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
         cells: Any = shapely.box(*(corner - self.tolerance).T, *(corner + width + self.tolerance).T)
-        tree = shapely.STRtree(np.asarray(shapely.polygons(triangles)))
-        cell, triangle = tree.query(cells, predicate="intersects")
+        cell, triangle = shapely.STRtree(np.asarray(shapely.polygons(triangles))).query(cells, predicate="intersects")
         order = np.argsort(cell, kind="stable")
         first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
         # 3. Find the line n . x = d of each side, with the inward normal n.

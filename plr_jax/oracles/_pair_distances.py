@@ -18,13 +18,12 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import PickledWithoutCaches, parts, take_ragged
-from plr_jax._types import Distances
+from plr_jax._types import Distances, Points
 from plr_jax.geometry.corners import CornerVisibility, corners_by_triangle, triangles_at
 from plr_jax.geometry.graph import Graph
 from plr_jax.geometry.single_points import FEW, CornerSight, Place, PointLocator
 from plr_jax.geometry.workspace import Workspace
 
-Points: TypeAlias = Float[np.ndarray, "n 2"]
 Entries: TypeAlias = Float[np.ndarray, " entries"]
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time

@@ -46,17 +46,15 @@ def _motion(problem: Problem, motion: _paths.Timeline, seconds: float) -> dict[s
     # most 10**-d / 2 <= w * 1e-4 / 2, which is 0.026 pixels.
     bounds = problem.workspace.bounds
     decimals = max(0, 4 - math.floor(math.log10(bounds.width.max())))
-    digits = [(decimals, decimals, 4)[: robot.dof] for robot in problem.robots]
+    digits = [(decimals, decimals, 4)[: robot.dof] for robot in problem.robots]  # rounding stops after the dof
+    steps = motion.configurations.tolist()
     return {
         "seconds": seconds,
         "hold": HOLD,
         "view": {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])},
         "duration": motion.duration,
         "times": np.round(motion.times / motion.duration, 6).tolist(),
-        "steps": [
-            [list(map(round, q, n)) for q, n in zip(step, digits, strict=True)]  # stops after the robot's dof
-            for step in motion.configurations.tolist()
-        ],
+        "steps": [[list(map(round, q, n)) for q, n in zip(step, digits, strict=True)] for step in steps],
     }
 
 
