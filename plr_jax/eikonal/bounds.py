@@ -156,8 +156,7 @@ class CostToGoField:
             bent = np.interp(highest, *self._rescaling) - highest
             by_program = (control - values @ basis(1, space.lattice).T).min(axis=1) + bent
             ends = (mesh.domain.at(mesh.fractions(cells, end[batch])) for end in (lo, hi))
-            by_straight = (self._below_straight(*ends) - values).min(axis=1)
-            below[batch] = np.maximum(by_program, by_straight) - spare
+            below[batch] = np.maximum(by_program, (self._below_straight(*ends) - values).min(axis=1)) - spare
             # 2. Upper bounds, by straight motions to a corner of the cell or to one of its targets, and on along the
             #    path of this node. The cost of a straight motion is convex, and f is linear along each axis. So their
             #    difference is convex along each axis, and largest at a vertex. Each part takes its best node.

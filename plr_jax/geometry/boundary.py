@@ -316,8 +316,7 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
             expected = "a mapping with an 'outer' ring and a list of 'holes', or a Shapely polygon"
             raise ValueError(f"Component {i} must be {expected}, got {shortened(part)}.")
         blocked = [as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)]
-        outer = as_polygon(f"Outer ring {i}", part["outer"])
-        polygons.append(shapely.difference(outer, shapely.union_all(blocked)))
+        polygons.append(shapely.difference(as_polygon(f"Outer ring {i}", part["outer"]), shapely.union_all(blocked)))
     if not polygons:
         raise ValueError("Free space needs at least one component, got none.")
     # 2. Unite the components in the bounds.

@@ -89,7 +89,6 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     if (edges < 0).any():
         return None
     vertex_of_gap, ends = np.unique(edges, return_inverse=True)
-    ends = ends.reshape(-1, 2)
     # A triangulation does not use the sectors of its boundary, so zeros will do. The result has the boundary
     # `change.new`.
     gap = Boundary(change.new.vertices[vertex_of_gap], ends, np.zeros(len(ends), int))
@@ -103,8 +102,8 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     kept = np.flatnonzero(is_half_kept)
     new_index = np.where(is_half_kept, np.cumsum(is_half_kept) - 1, -1)
     origin = np.concatenate([vertex[kept], vertex_of_gap[fill.origin]])
-    wall_of_edge = np.append(walls, np.full(len(rims) + 1, -1))  # also -1 at index -1, inside the gap
-    wall = np.concatenate([wall[kept], wall_of_edge[fill.wall]])
+    # Edges of the gap along rims are no walls, and neither is edge -1 of half-edges inside the gap.
+    wall = np.concatenate([wall[kept], np.append(walls, np.full(len(rims) + 1, -1))[fill.wall]])
     fill_twin = np.where(fill.twin >= 0, fill.twin + len(kept), -1)
     twin = np.concatenate([np.append(new_index, -1)[old.twin[kept]], fill_twin])
     # 4. Link the half-edges of the gap along the rims with the kept ones beyond.
@@ -139,9 +138,8 @@ def changed_visibility(
     new_edge = change.edge[old_edge]
     is_same_sector = np.zeros(len(boundary.edges), bool)
     is_same_sector[new_edge] = boundary.sector_end[new_edge] == change.vertex[change.old.sector_end[old_edge]]
-    num_sectors = np.bincount(views.owner, minlength=len(views.points))
     num_old_sectors = np.bincount(old.views.owner, minlength=len(old.views.points))
-    differs = num_sectors != np.append(num_old_sectors, 0)[at_vertex]
+    differs = np.bincount(views.owner, minlength=len(views.points)) != np.append(num_old_sectors, 0)[at_vertex]
     differs[views.owner[~is_same_sector[views.edge]]] = True
     matched = np.where(differs, -1, at_vertex)
     # 2. Compute visibility again for corners without a match, corners that may see a changed edge, and the goal, if

@@ -86,13 +86,12 @@ def _simplified(
     if tolerance == 0 or not len(points):
         return points, ring
     stations = _stations_of(points, ring, is_contact)
-    # 1. Take the longest links, one after the other from the first station of each ring to its last one.
+    # 1. Take the longest links, one after the other from the first station of each ring to its last one, where
+    #    `onward` is the station itself. The first station of the next ring follows.
     onward = _farthest(stations, tolerance * (1 - 1e-9)).tolist()
-    chain = []
-    for station in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
-        chain.append(station)
-        while onward[chain[-1]] != chain[-1]:
-            chain.append(onward[chain[-1]])
+    chain = [0]
+    while chain[-1] + 1 < len(onward):
+        chain.append(max(onward[chain[-1]], chain[-1] + 1))
     # 2. Replace unwanted links by the exact outline. This ends since exact links are never unwanted.
     is_kept = np.isin(np.arange(len(onward)), chain)
     while links := _unwanted_links(stations, is_kept, tolerance):
@@ -112,14 +111,16 @@ def _stations_of(points: Points, ring: Numbers, is_contact: Bool[np.ndarray, " n
     #      first                                                                  last
     #
     # 1. Let each ring begin at its first contact, if it has any.
-    count, row = np.bincount(ring), np.arange(len(ring))
+    count = np.bincount(ring)
     _, place = ragged_indices(count)
     shift = np.zeros(len(count), dtype=int)
     contacts = np.flatnonzero(is_contact)[::-1]  # reversed, so that the first contact of a ring is kept
     shift[ring[contacts]] = place[contacts]
     size = count[ring] - 1
+    row = np.arange(len(ring))
     corner = row - place + (place + shift[ring]) % size
-    points, is_contact, is_last = points[corner], is_contact[corner], place == size
+    points, is_contact = points[corner], is_contact[corner]
+    is_last = place == size
     # 2. Keep the middles of staircase steps, whose ends turn opposite ways; other runs are ends of walls or bays.
     ahead = np.roll(points, -1, axis=0)
     along = ahead - points  # the run after each corner; of no meaning after the last one of a ring

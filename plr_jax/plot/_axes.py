@@ -95,8 +95,7 @@ def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], 
 
 
 def new_axes_3d(box: Box, label: str) -> Axes3D:
-    figure = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white")
-    ax = figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
+    ax = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white").add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
     assert isinstance(ax, Axes3D)
     ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
     ax.view_init(elev=32, azim=-125)

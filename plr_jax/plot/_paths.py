@@ -146,8 +146,7 @@ def outline(robot: Robot, q: Float[np.ndarray, " dof"], bounds: Box) -> Float[np
 def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, " dof"]) -> list[Artist]:
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
-    body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
-    ax.add_patch(body)
+    body = ax.add_patch(Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY))
     if robot.dof == 2:
         return [body]
     ends = placed(robot, heading_bar(robot, problem.workspace.bounds), q)

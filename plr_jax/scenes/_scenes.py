@@ -31,7 +31,6 @@ _SHAPES: dict[str, tuple[type[Robot], tuple[str, ...], int]] = {  # class, field
     "rectangle": (RectangleRobot, ("length", "width"), 2),
     "polygon": (PolygonRobot, ("vertices",), 3),
 }
-_KEYS = ("workspace", "robots", "starts", "goals")
 
 
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
@@ -77,7 +76,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
     """
     with errors_named(path) as file:
         scene = json_of(file)
-        require_format(scene, _KIND, _VERSION, _KEYS)
+        require_format(scene, _KIND, _VERSION, ("workspace", "robots", "starts", "goals"))
         if not isinstance(scene["robots"], list):
             raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')
         robots = [_read_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
@@ -190,10 +189,8 @@ def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distanc
 
 _RADIUS = 0.4  # radius of the discs at a door and in a crowd
 _MOST_AT_A_DOOR = 50  # largest number of robots
-_WALLS = (  # the obstacles beside a door
-    ((10.0, 0.0), (11.0, 0.0), (11.0, 9.4), (10.0, 9.4)),
-    ((10.0, 10.6), (11.0, 10.6), (11.0, 20.0), (10.0, 20.0)),
-)
+# The obstacles beside a door.
+_WALLS = [[(10.0, y0), (11.0, y0), (11.0, y1), (10.0, y1)] for y0, y1 in ((0.0, 9.4), (10.6, 20.0))]
 _COVERED = 0.15  # share of the square that a crowd covers
 _CLEAR = 0.05  # smallest gap between discs of a crowd, and to walls
 _MOST_TRIALS = 1_000_000  # random positions that are tried for the starts of a crowd, and for its goals
@@ -212,9 +209,8 @@ def door(num_robots: int) -> Problem:
     row, column = np.divmod(np.arange(num_robots // 2), 5)  # rows of five
     left = np.stack([1 + 1.7 * column, 2 + 3.9 * row], axis=1)
     right = left * (-1, 1) + (21, 0)
-    workspace = Workspace(((0, 0), (21, 20)), _WALLS)
     starts, goals = np.concatenate([left, right]), np.concatenate([right, left])
-    return Problem(workspace, [DiscRobot(_RADIUS)] * num_robots, starts, goals)
+    return Problem(Workspace(((0, 0), (21, 20)), _WALLS), [DiscRobot(_RADIUS)] * num_robots, starts, goals)
 
 
 def crowd(num_robots: int, seed: int = 0) -> Problem:
