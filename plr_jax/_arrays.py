@@ -270,7 +270,7 @@ def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
 
 
-def slices(count: int, size: int) -> Iterator[slice]:
+def slices(count: int, size: int | np.integer) -> Iterator[slice]:
     """Split ``count`` items into consecutive slices of ``size`` items; the last one may have fewer."""
     return (slice(begin, begin + size) for begin in range(0, count, size))
 
