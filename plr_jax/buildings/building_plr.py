@@ -9,9 +9,8 @@ import numpy as np
 from plr_jax._arrays import index_of
 from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike
-from plr_jax.buildings.floors import Floors, Route
+from plr_jax.buildings.floors import Route
 from plr_jax.buildings.numpy_building import NumpyBuildingPLR
-from plr_jax.plr._plr import PLR, from_bytes
 from plr_jax.plr._trace import trace
 
 if TYPE_CHECKING:
@@ -27,8 +26,6 @@ class BuildingPLR(NumpyBuildingPLR):
     :meth:`BuildingOracle.construct` or :func:`load` makes it. Calls, ``bounds`` and ``which`` work under ``jax.jit``,
     ``jax.vmap`` and, by ``x``, ``jax.grad``. It is a pytree of the arrays of ``plane``, a :class:`PLR`.
     """
-
-    plane: PLR
 
     def numpy(self) -> NumpyBuildingPLR:
         """Return the PLR as a function that needs no JAX, and is fast for single points."""
@@ -70,16 +67,3 @@ class BuildingPLR(NumpyBuildingPLR):
                     legs.append((leg_floor, np.stack(points)))
             routes.append(self.floors.route(legs, arcs))
         return routes
-
-    def tree_flatten(self) -> tuple[tuple[PLR], str]:
-        return (self.plane,), self.floors.text
-
-    @classmethod
-    def tree_unflatten(cls, text: str, children: tuple[PLR]) -> "BuildingPLR":
-        return cls(Floors.of_text(text), *children)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> "BuildingPLR":
-        """Decode the bytes of a building's file; ``ValueError`` if they are invalid."""
-        floors, rest = Floors.read(data)
-        return cls(floors, from_bytes(rest))

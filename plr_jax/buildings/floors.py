@@ -1,10 +1,9 @@
 """The floors of a building as parts of one plane, and the links between floors. Needs only NumPy."""
 
 import json
-import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
@@ -18,7 +17,6 @@ from plr_jax.plr.container import BUILDING_MAGIC
 
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
-_SIZE = struct.Struct("<I")  # of the floors in a file
 _MOST_BYTES = 2**24  # of the floors in a file, decoded
 NO_PATH = -2  # instead of the index of the next link
 _UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
@@ -195,14 +193,12 @@ class Floors:
         try:
             content = json.loads(text)
             lo, hi = (np.array(content[name], np.float64) for name in ("lo", "hi"))
-            if not (
-                lo.shape == hi.shape == (len(lo), 2) and len(lo) and (lo < hi).all() and np.isfinite([lo, hi]).all()
-            ):
-                raise ValueError("bounds of floors")
             floors = Floors(lo, hi, tuple(Link(*link) for link in content["links"]), content["goals"])
             require_integer("goals", floors.num_goals, 0)
-            if max((place[0] for arc in floors.arcs for place in (arc.start, arc.end)), default=0) >= len(lo):
-                raise ValueError("a link leads to an unknown floor")
+            dims = {Box(*corners).dim for corners in zip(lo, hi, strict=True)}
+            ends = [place[0] for link in floors.links for place in (link.start, link.end)]
+            if dims != {2} or max(ends, default=0) >= len(lo):
+                raise ValueError("a floor is no box in the plane, or a link leads to an unknown floor")
         except (TypeError, KeyError, ValueError, RecursionError) as error:
             raise ValueError(f"its floors and links are invalid: {error}") from None
         return floors
@@ -210,20 +206,45 @@ class Floors:
     def to_bytes(self) -> bytes:
         """Encode the floors for a file: compressed :attr:`text`, after its size."""
         data = zlib.compress(self.text.encode(), 9)
-        return BUILDING_MAGIC + _SIZE.pack(len(data)) + data
+        return BUILDING_MAGIC + len(data).to_bytes(4, "little") + data
 
     @staticmethod
     def read(data: bytes) -> "tuple[Floors, bytes]":
-        """Decode the floors at the beginning of a file; also return the rest of the file."""
-        start = len(BUILDING_MAGIC) + _SIZE.size
-        if not data.startswith(BUILDING_MAGIC) or len(data) < start:
-            raise ValueError("it does not start like the file of a building")
-        end = start + _SIZE.unpack(data[len(BUILDING_MAGIC) : start])[0]
-        decoder = zlib.decompressobj()
-        try:
-            text = decoder.decompress(data[start:end], _MOST_BYTES).decode()
+        """Decode the floors at the beginning of the file of a building; also return the rest of the file."""
+        start = len(BUILDING_MAGIC) + 4
+        end = start + int.from_bytes(data[len(BUILDING_MAGIC) : start], "little")
+        try:  # text longer than the limit is cut off, and then is no JSON
+            text = zlib.decompressobj().decompress(data[start:end], _MOST_BYTES).decode()
         except (zlib.error, UnicodeDecodeError) as error:
             raise ValueError(f"its floors and links are damaged: {error}") from None
-        if not decoder.eof or decoder.unused_data:
-            raise ValueError("its floors and links end too early, or are too long")
         return Floors.of_text(text), data[end:]
+
+
+@dataclass(frozen=True, eq=False)
+class OnFloors:
+    """A base class of functions of places, pairs ``(floor, x)``, that answer in the plane of all floors.
+
+    Attributes:
+        floors: Bounds of the floors, the links, and ``shift``.
+        plane: The function in the plane: point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
+    """
+
+    floors: Floors = field(repr=False)
+    plane: Any
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the file in bytes."""
+        return len(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Return the bytes of the file: the floors and links, then the file of ``plane``."""
+        return self.floors.to_bytes() + self.plane.to_bytes()
+
+    # JAX needs both functions for the subclasses that are pytrees.
+    def tree_flatten(self) -> tuple[tuple[Any], str]:
+        return (self.plane,), self.floors.text
+
+    @classmethod
+    def tree_unflatten(cls, text: str, children: tuple[Any]) -> "OnFloors":
+        return cls(Floors.of_text(text), *children)
