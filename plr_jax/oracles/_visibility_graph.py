@@ -427,9 +427,12 @@ class NearestPaths:
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
         parents = np.where(roots < 0, parents[:-1], -1)
         sources = replace(_sources(vertices.points, distances[:-1], parents), roots=roots, exits=exits)
-        # 4. List the sources at which paths from each triangle may turn first.
+        # 4. List the sources at which paths from each triangle may turn first. Directions are those between rounded
+        #    points, as goals beside a corner may lie on another side of it before they are rounded.
         views = viewpoints_at(mesh, goals[kept]).append(corners.views)
-        turns = find_turn_points(vertices, sources.distances, parents, num_goals=0)
+        rounded = replace(vertices, points=views.points)
+        turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)
+        turns = replace(turns, points=vertices.points[turns.vertex])
         visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
         regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
         return cls(workspace, sources, regions, joined_tables([table, corners.table]))
