@@ -7,8 +7,7 @@ import networkx
 import numpy as np
 import shapely
 
-from plr_jax import Workspace
-from plr_jax.buildings import Building, Link
+from plr_jax import Building, Link, Route, Workspace
 
 SHARE = 1e-9  # of a floor's size: how far segments may leave free space
 _NEAR = 8  # times this distance, a segment counts as touching a contact
@@ -55,7 +54,7 @@ class FloorSight:
     def __init__(self, free: Any, squeeze: bool):
         lo, hi = np.reshape(free.bounds, (2, 2))
         self.origin = lo
-        free = shapely.transform(free, lambda x: x - lo)  # exact arithmetic near 0
+        self.free = free = shapely.transform(free, lambda x: x - lo)  # exact arithmetic near 0
         self.tolerance = SHARE * float((hi - lo).max()) + 4 * float(np.spacing(np.abs([lo, hi]).max()))
         self.grown = free.buffer(self.tolerance, join_style="mitre")
         self.vertices = np.unique(shapely.get_coordinates(free), axis=0)
@@ -108,6 +107,7 @@ class BruteForce:
 
     def __init__(self, building: Building):
         self.links, squeeze = building.links, building.floors[0].squeeze
+        self.allowed = SHARE * size_of(building)  # errors of distances up to this are rounding
         self.floors = [FloorSight(floor.free_space, squeeze) for floor in building.floors]
         self.nodes: list[Nodes] = []
         self.walks, ends = networkx.DiGraph(), [place for link in self.links for place in (link.start, link.end)]
@@ -255,7 +255,7 @@ def random_floor(rng: np.random.Generator, squeeze: bool) -> Workspace:
         turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
         ring = np.stack([np.cos(turn), np.sin(turn)], axis=1) * sides * rng.uniform(0.02, 0.2)
         ring = np.round(ring + rng.uniform(0, 1, 2) * sides)
-        if shapely.Polygon(ring).area > 1:
+        if shapely.Polygon(ring).is_valid and shapely.Polygon(ring).area > 1:
             shapes.append(shapely.Polygon(ring * _UNIT + origin))
     return Workspace((origin, origin + sides * _UNIT), shapes, squeeze=squeeze)
 
@@ -266,10 +266,13 @@ def random_place(rng: np.random.Generator, floors: list[Workspace], known: list[
     if known and kind < 0.25:
         return known[rng.integers(len(known))]
     boundary = floors[k].boundary
+    contacts = boundary.vertices[boundary.contacts]
     edge = boundary.vertices[boundary.edges[rng.integers(len(boundary.edges))]]
-    if kind < 0.4:
+    if kind < 0.35 and len(contacts):
+        point = contacts[rng.integers(len(contacts))]
+    elif kind < 0.45:
         point = edge[0]
-    elif kind < 0.55:
+    elif kind < 0.6:
         point = edge[0] + rng.random() * (edge[1] - edge[0])
     else:
         point = floors[k].sample_free(1, int(rng.integers(2**31)))[0]
@@ -319,3 +322,84 @@ def size_of(building: Building) -> float:
     """Return the width of the plane that holds all floors, or a share of the largest coordinate if that is more."""
     corners = np.concatenate([[floor.bounds.lo, floor.bounds.hi] for floor in building.floors])
     return max(float(building.plane.bounds.width.max()), 1e-3 * float(np.abs(corners).max()))
+
+
+# Checks, for tests and experiments.
+
+
+def are_wrong(found: Any, expected: np.ndarray, allowed: float) -> np.ndarray:
+    """Return which distances differ by more than an allowed error, or are infinite when they should not be."""
+    found = np.asarray(found, float)
+    both = np.isfinite(found) & np.isfinite(expected)
+    difference = np.subtract(found, expected, where=both, out=np.zeros(len(expected)))
+    return (np.isfinite(found) != np.isfinite(expected)) | (np.abs(difference) > allowed)
+
+
+def are_broken(bounds: tuple[Any, Any], expected: np.ndarray) -> np.ndarray:
+    lower, upper = (np.asarray(bound, float) for bound in bounds)
+    return ~((lower <= expected) & (expected <= upper))
+
+
+def wrong_links(search: BruteForce, field: Field, goals: Any, floor: int, x: np.ndarray, which: Any) -> np.ndarray:
+    """Return at which points no shortest path takes the next link that is claimed."""
+    shortest, is_wrong = field(floor, x), np.ones(len(x), bool)
+    for link in np.unique(which).tolist():
+        rows = np.flatnonzero(which == link)
+        if link == -2:
+            is_wrong[rows] = np.isfinite(shortest[rows])
+            continue
+        if link == -1:
+            places, costs = goals, [0.0] * len(goals)
+        else:
+            it = search.links[link]
+            ways = [(it.start, it.end), (it.end, it.start)][: 1 + it.both_ways]
+            places = [start for start, _ in ways]
+            costs = [it.cost + field(end[0], [end[1]])[0] for _, end in ways]
+        is_finite = np.isfinite(costs)
+        places = [place for place, is_in in zip(places, is_finite, strict=True) if is_in]
+        by_link = search.field(places, np.array(costs)[is_finite], use_links=False)(floor, x[rows])
+        is_wrong[rows] = are_wrong(by_link, shortest[rows], search.allowed)
+    return is_wrong
+
+
+def route_fault(
+    search: BruteForce, route: Route, start: Any, goals: Any, distance: float, near: float, allowed: float
+) -> str:
+    """Return what is wrong with a route, or "".
+
+    Points may be wrong by ``near``. The length of the route may differ from the distance by ``allowed``.
+    """
+    if not route.legs:
+        return "" if np.isinf(distance) and np.isinf(route.length) else "no legs"
+    length, (at, here) = 0.0, start
+    for i, (floor, points) in enumerate(route.legs):
+        sight = search.floors[floor]
+        if floor != at or np.linalg.norm(points[0] - here) > near:
+            return f"leg {i} does not start where the path is"
+        lines: Any = shapely.linestrings(points - sight.origin) if len(points) > 1 else shapely.Point(points[0])
+        if len(points) > 1 and not shapely.covers(sight.free.buffer(near), lines):
+            return f"leg {i} leaves free space"
+        length += np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        if i == len(route.legs) - 1:
+            ends = [(floor, points[-1])]
+            return _end_fault(ends[0], goals, near) or _length_fault(length, route, distance, near, allowed)
+        link = search.links[route.links[i]]
+        ways = [(link.start, link.end), (link.end, link.start)][: 1 + link.both_ways]
+        ways = [way for way in ways if way[0][0] == floor and np.linalg.norm(way[0][1] - points[-1]) <= near]
+        following = route.legs[i + 1]
+        ways = [way for way in ways if way[1][0] == following[0] and np.linalg.norm(way[1][1] - following[1][0]) <= near]
+        if not ways:
+            return f"leg {i} and the next one do not meet link {route.links[i]}"
+        (at, here), length = ways[0][1], length + link.cost
+    return "unreachable"
+
+
+def _end_fault(end: Any, goals: Any, near: float) -> str:
+    at_goal = [k == end[0] and np.linalg.norm(np.subtract(point, end[1])) <= near for k, point in goals]
+    return "" if any(at_goal) else "the path does not end at a goal"
+
+
+def _length_fault(length: float, route: Route, distance: float, near: float, allowed: float) -> str:
+    if abs(length - route.length) > near:
+        return f"the length is {length}, not {route.length}"
+    return "" if abs(length - distance) <= allowed else f"the length is {length}, the distance {distance}"
