@@ -184,10 +184,12 @@ class BuildingOracle:
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
         root = np.flatnonzero(sources.roots >= 0)
-        root = root[bounds.contains(sources.points[root] - shift)]
-        if not len(root):
+        points = sources.points[root] - shift
+        clipped = np.clip(points, bounds.lo, bounds.hi)
+        here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
+        if not here.any():
             raise ValueError(f"No goal can be reached from floor {floor}.")
-        first, *others = np.clip(sources.points[root] - shift, bounds.lo, bounds.hi)
+        root, (first, *others) = root[here], clipped[here]
         graph = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 
