@@ -104,7 +104,8 @@ class CornerVisibility:
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
-        return corner_of_vertex(self.table.boundary, self.views)
+        """The corner at each vertex of the boundary, -1 for none; places do not count."""
+        return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
