@@ -276,7 +276,6 @@ def random_place(rng: np.random.Generator, floors: list[Workspace], known: list[
         point = edge[0] + rng.random() * (edge[1] - edge[0])
     else:
         point = floors[k].sample_free(1, int(rng.integers(2**31)))[0]
-    point = np.clip(point, floors[k].bounds.lo, floors[k].bounds.hi)  # vertices are rounded
     return k, tuple(point.tolist())
 
 
