@@ -7,7 +7,7 @@ import networkx
 import numpy as np
 import shapely
 
-from plr_jax import Building, Link, Route, Workspace
+from plr_jax import Building, Link, Workspace
 
 SHARE = 1e-9  # of a floor's size: how far segments may leave free space
 _NEAR = 8  # times this distance, a segment counts as touching a contact
@@ -71,6 +71,12 @@ class FloorSight:
     def is_free(self, x: np.ndarray) -> np.ndarray:
         return shapely.intersects_xy(self.grown, *x.T)
 
+    def holds(self, path: np.ndarray, near: float) -> bool:
+        """Return whether a path, in coordinates of the floor, is nowhere farther than ``near`` from free space."""
+        path = path - self.origin
+        line: Any = shapely.linestrings(path if len(path) > 1 else np.repeat(path, 2, axis=0))
+        return bool(shapely.covers(self.free.buffer(near), line))
+
     def nodes(self, x: np.ndarray) -> Nodes:
         copies = np.ones(len(x), int)
         for contact in self.contacts:
@@ -124,10 +130,9 @@ class BruteForce:
                 self.walks.add_edge((k, j), (k, i), weight=cost)
         # Paths are searched from the goal, so links lead from their end to their start.
         self.backward = self.walks.copy()
-        for link in self.links:
-            self._add(link.end, link.start, link.cost)
-            if link.both_ways:
-                self._add(link.start, link.end, link.cost)
+        for number, link in enumerate(self.links):
+            for start, end in self.ways(number):
+                self._add(end, start, link.cost)
 
     def _add(self, tail: tuple, head: tuple, cost: float) -> None:
         for i in self._at(*tail):
@@ -164,6 +169,16 @@ class BruteForce:
             for k, nodes in enumerate(self.nodes)
         ]
         return Field(self, distances, goal_nodes)
+
+    def ways(self, number: int) -> list[tuple]:
+        """Return the start and the end of a link in each direction in which it can be taken."""
+        link = self.links[number]
+        return [(link.start, link.end), (link.end, link.start)][: 1 + link.both_ways]
+
+    def is_contact(self, floor: int, point: Any) -> bool:
+        """Return whether obstacles touch at a point, and no path passes there between them."""
+        sight = self.floors[floor]
+        return len(sight.nodes(np.reshape(point, (1, 2)) - sight.origin).owner) > 1
 
     def distances(self, floor: int, x: Any, goals: Any) -> np.ndarray:
         return self.field(goals)(floor, x)
@@ -213,6 +228,7 @@ def _columns(nodes: Nodes) -> tuple[np.ndarray, ...]:
 # Random buildings.
 
 _UNIT = 0.01
+_ORIGINS = 0, 0, 1, 100, 1e4, 1e6
 
 
 def _split(rng: np.random.Generator, lo: np.ndarray, hi: np.ndarray, wall: int, depth: int) -> list[np.ndarray]:
@@ -235,7 +251,7 @@ def _split(rng: np.random.Generator, lo: np.ndarray, hi: np.ndarray, wall: int, 
     return boxes + _split(rng, lo, below, wall, depth - 1) + _split(rng, above, hi, wall, depth - 1)
 
 
-def random_floor(rng: np.random.Generator, squeeze: bool) -> Workspace:
+def random_floor(rng: np.random.Generator, squeeze: bool, origins: Any = _ORIGINS) -> Workspace:
     """Return rooms with doors and pillars, some of which touch a wall or one another; some rooms are closed."""
     sides = np.round(10 ** rng.uniform(2, 4) * rng.uniform(0.5, 1, 2)).astype(int)  # in units: 1 m to 100 m
     wall = max(1, int(sides.max() * rng.choice([0.002, 0.02, 0.05])))
@@ -249,7 +265,7 @@ def random_floor(rng: np.random.Generator, squeeze: bool) -> Workspace:
             corner[axis] = other[1, axis]
             corner[1 - axis] = other[1 if is_corner else 0, 1 - axis]
         boxes.append(np.stack([corner, corner + size]))
-    origin = np.round(rng.choice([0, 0, 1, 100, 1e4, 1e6]) * rng.uniform(-1, 1, 2) / _UNIT) * _UNIT
+    origin = np.round(rng.choice(origins) * rng.uniform(-1, 1, 2) / _UNIT) * _UNIT
     shapes: list[Any] = [shapely.box(*(box * _UNIT + origin).ravel()) for box in boxes]
     for _ in range(rng.integers(0, 3)):  # pillars with inclined sides
         turn = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 7)))
@@ -321,84 +337,3 @@ def size_of(building: Building) -> float:
     """Return the width of the plane that holds all floors, or a share of the largest coordinate if that is more."""
     corners = np.concatenate([[floor.bounds.lo, floor.bounds.hi] for floor in building.floors])
     return max(float(building.plane.bounds.width.max()), 1e-3 * float(np.abs(corners).max()))
-
-
-# Checks, for tests and experiments.
-
-
-def are_wrong(found: Any, expected: np.ndarray, allowed: float) -> np.ndarray:
-    """Return which distances differ by more than an allowed error, or are infinite when they should not be."""
-    found = np.asarray(found, float)
-    both = np.isfinite(found) & np.isfinite(expected)
-    difference = np.subtract(found, expected, where=both, out=np.zeros(len(expected)))
-    return (np.isfinite(found) != np.isfinite(expected)) | (np.abs(difference) > allowed)
-
-
-def are_broken(bounds: tuple[Any, Any], expected: np.ndarray) -> np.ndarray:
-    lower, upper = (np.asarray(bound, float) for bound in bounds)
-    return ~((lower <= expected) & (expected <= upper))
-
-
-def wrong_links(search: BruteForce, field: Field, goals: Any, floor: int, x: np.ndarray, which: Any) -> np.ndarray:
-    """Return at which points no shortest path takes the next link that is claimed."""
-    shortest, is_wrong = field(floor, x), np.ones(len(x), bool)
-    for link in np.unique(which).tolist():
-        rows = np.flatnonzero(which == link)
-        if link == -2:
-            is_wrong[rows] = np.isfinite(shortest[rows])
-            continue
-        if link == -1:
-            places, costs = goals, [0.0] * len(goals)
-        else:
-            it = search.links[link]
-            ways = [(it.start, it.end), (it.end, it.start)][: 1 + it.both_ways]
-            places = [start for start, _ in ways]
-            costs = [it.cost + field(end[0], [end[1]])[0] for _, end in ways]
-        is_finite = np.isfinite(costs)
-        places = [place for place, is_in in zip(places, is_finite, strict=True) if is_in]
-        by_link = search.field(places, np.array(costs)[is_finite], use_links=False)(floor, x[rows])
-        is_wrong[rows] = are_wrong(by_link, shortest[rows], search.allowed)
-    return is_wrong
-
-
-def route_fault(
-    search: BruteForce, route: Route, start: Any, goals: Any, distance: float, near: float, allowed: float
-) -> str:
-    """Return what is wrong with a route, or "".
-
-    Points may be wrong by ``near``. The length of the route may differ from the distance by ``allowed``.
-    """
-    if not route.legs:
-        return "" if np.isinf(distance) and np.isinf(route.length) else "no legs"
-    length, (at, here) = 0.0, start
-    for i, (floor, points) in enumerate(route.legs):
-        sight = search.floors[floor]
-        if floor != at or np.linalg.norm(points[0] - here) > near:
-            return f"leg {i} does not start where the path is"
-        lines: Any = shapely.linestrings(points - sight.origin) if len(points) > 1 else shapely.Point(points[0])
-        if len(points) > 1 and not shapely.covers(sight.free.buffer(near), lines):
-            return f"leg {i} leaves free space"
-        length += np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-        if i == len(route.legs) - 1:
-            ends = [(floor, points[-1])]
-            return _end_fault(ends[0], goals, near) or _length_fault(length, route, distance, near, allowed)
-        link = search.links[route.links[i]]
-        ways = [(link.start, link.end), (link.end, link.start)][: 1 + link.both_ways]
-        ways = [way for way in ways if way[0][0] == floor and np.linalg.norm(way[0][1] - points[-1]) <= near]
-        following = route.legs[i + 1]
-        ways = [way for way in ways if way[1][0] == following[0] and np.linalg.norm(way[1][1] - following[1][0]) <= near]
-        if not ways:
-            return f"leg {i} and the next one do not meet link {route.links[i]}"
-        (at, here), length = ways[0][1], length + link.cost
-    return "unreachable"
-
-
-def _end_fault(end: Any, goals: Any, near: float) -> str:
-    at_goal = [k == end[0] and np.linalg.norm(np.subtract(point, end[1])) <= near for k, point in goals]
-    return "" if any(at_goal) else "the path does not end at a goal"
-
-
-def _length_fault(length: float, route: Route, distance: float, near: float, allowed: float) -> str:
-    if abs(length - route.length) > near:
-        return f"the length is {length}, not {route.length}"
-    return "" if abs(length - distance) <= allowed else f"the length is {length}, the distance {distance}"

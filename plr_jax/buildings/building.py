@@ -102,7 +102,7 @@ class Building(PickledWithoutCaches):
         return self.plane_floors.in_plane(floor, x)
 
     def _placed(self, place: Place) -> np.ndarray:
-        """Return a free place as a point of ``plane``; corners of free space may be outside the bounds by rounding."""
+        """Return a free place as a point of ``plane``; by rounding, it may lie outside the bounds."""
         floor, point = place
         bounds = self.floors[floor].bounds
         return self.in_plane(floor, np.clip(point, bounds.lo, bounds.hi))
