@@ -61,7 +61,7 @@ class Building(PickledWithoutCaches):
         floor, point = place
         if floor >= len(self.floors):
             raise ValueError(f"{name} must be on a floor from 0 to {len(self.floors) - 1}, got floor {floor}.")
-        if not self.floors[floor].is_free([point])[0]:
+        if not self.floors[floor].is_free_to_tolerance(np.array([point]))[0]:
             raise ValueError(f"{name} must be in free space, got {point} on floor {floor}: move it.")
 
     @cached_property
@@ -84,7 +84,7 @@ class Building(PickledWithoutCaches):
         if not arcs:
             return corners
         # Ends of links at one place, up to the rounding of the triangulation, are one corner.
-        ends = np.stack([self.in_plane(*place) for arc in arcs for place in (arc.start, arc.end)])
+        ends = np.stack([self._placed(place) for arc in arcs for place in (arc.start, arc.end)])
         _, first, place = np.unique(mesh.place(ends).x, axis=0, return_index=True, return_inverse=True)
         lengths = np.array([arc.cost for arc in arcs])
         return with_places(corners, mesh, ends[first], Arcs(place[0::2], place[1::2], lengths))
@@ -101,6 +101,12 @@ class Building(PickledWithoutCaches):
             floor, x = floor[..., 0], settled
         return self.plane_floors.in_plane(floor, x)
 
+    def _placed(self, place: Place) -> np.ndarray:
+        """Return a free place as a point of ``plane``; by rounding, it may lie outside the bounds."""
+        floor, point = place
+        bounds = self.floors[floor].bounds
+        return self.in_plane(floor, np.clip(point, bounds.lo, bounds.hi))
+
     def oracle(self, floor: Any, goal: ArrayLike | None = None) -> "BuildingOracle":
         """Return the exact distance to a goal ``(x, y)`` on a floor, over floors and links.
 
@@ -115,7 +121,7 @@ class Building(PickledWithoutCaches):
         goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
         for i, place in enumerate(goals):
             self.require_free(f"Goal {i}", place)
-        points = np.stack([self.in_plane(*place) for place in goals])
+        points = np.stack([self._placed(place) for place in goals])
         return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, np.zeros(len(goals))))
 
 
@@ -184,10 +190,12 @@ class BuildingOracle:
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
         root = np.flatnonzero(sources.roots >= 0)
-        root = root[bounds.contains(sources.points[root] - shift)]
-        if not len(root):
+        points = sources.points[root] - shift
+        clipped = np.clip(points, bounds.lo, bounds.hi)
+        here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
+        if not here.any():
             raise ValueError(f"No goal can be reached from floor {floor}.")
-        first, *others = np.clip(sources.points[root] - shift, bounds.lo, bounds.hi)
+        root, (first, *others) = root[here], clipped[here]
         graph = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 

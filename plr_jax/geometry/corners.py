@@ -1,6 +1,6 @@
 """The corners at which shortest paths turn, what each corner sees, and where paths to one goal turn first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeAlias
 
@@ -94,6 +94,8 @@ class CornerVisibility:
     edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
     num_places: int = 0
     arcs: Arcs = NO_ARCS  # between corners
+    # The index of which arc, among those given to :func:`with_places`, each arc is a copy.
+    copied: Int[np.ndarray, " arcs"] = field(default_factory=lambda: np.zeros(0, int))
 
     @property
     def places(self) -> Int[np.ndarray, " places"]:
@@ -102,7 +104,8 @@ class CornerVisibility:
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
-        return corner_of_vertex(self.table.boundary, self.views)
+        """The corner at each vertex of the boundary, -1 for none; places do not count."""
+        return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
@@ -118,19 +121,26 @@ def with_places(
 ) -> CornerVisibility:
     """Return the corners with ``places``, distinct points of free space, after the last corner.
 
-    ``arcs`` join places, by their indices in ``places``.
+    ``arcs`` join places, by their indices in ``places``. A place where obstacles touch has a copy, with copies of its
+    arcs, for each sector of free space around it. So no path passes between the obstacles.
     """
+    # 1. Split places, and copy arcs: from each copy of the start to each copy of the end.
     corners, count = visibility.corners, len(visibility.corners.points)
-    views = viewpoints_at(triangulation, places)
+    views, of = viewpoints_at(triangulation, places).split()
+    first = np.searchsorted(of, np.arange(len(places) + 1))
+    start, arc = take_ragged(first, arcs.start)
+    end, row = take_ragged(first, arcs.end[arc])
+    places, copies = places[of], Arcs(count + start[row], count + end, arcs.length[arc[row]])
+    # 2. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
     table, (place, vertex) = visibility_of(triangulation, views)
-    # 1. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
     pairs = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
     place, corner = pairs[:, pairs[1] >= 0]
     at = views.points[place]
     joined = visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
-    # 2. Join places that see each other.
+    joined &= views.joins(place, visibility.views, corner)
+    # 3. Join places that see each other.
     a, b = np.triu_indices(len(places), 1)
-    sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a])
+    sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a]) & (of[a] != of[b])
     pairs = np.stack([corner[joined], count + place[joined]], axis=1), count + np.stack([a[sees], b[sees]], axis=1)
     return CornerVisibility(
         ReflexCorners(
@@ -142,7 +152,8 @@ def with_places(
         joined_tables([visibility.table, table]),
         np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),
         len(places),
-        Arcs(count + arcs.start, count + arcs.end, arcs.length),
+        copies,
+        arc[row],
     )
 
 

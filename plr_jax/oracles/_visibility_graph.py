@@ -31,7 +31,14 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
+from plr_jax.geometry.visibility import (
+    Viewpoints,
+    VisibilityTable,
+    joined_tables,
+    triangles_within,
+    viewpoints_at,
+    visibility_of,
+)
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -364,7 +371,11 @@ def goals_in_sight(
     workspace: Workspace, corners: CornerVisibility, goals: Float[np.ndarray, "goals 2"]
 ) -> GoalsInSight:
     """Return what goals, distinct points of free space, see, and the pairs of a goal and a corner in mutual sight."""
-    table, (goal, vertex) = visibility_of(workspace.triangulation, viewpoints_at(workspace.triangulation, goals))
+    return _views_in_sight(workspace, corners, viewpoints_at(workspace.triangulation, goals))
+
+
+def _views_in_sight(workspace: Workspace, corners: CornerVisibility, views: Viewpoints) -> GoalsInSight:
+    table, (goal, vertex) = visibility_of(workspace.triangulation, views)
     return table, _mutual_pairs(corners, table, goal, corners.of_vertex[vertex])
 
 
@@ -407,12 +418,16 @@ class NearestPaths:
         place = mesh.place(goals).x
         order = np.lexsort((offsets, *place.T))
         kept = np.sort(order[np.append(True, (place[order[1:]] != place[order[:-1]]).any(axis=1))])
-        # 2. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
+        # 2. Split goals where obstacles touch, so that no path to another goal passes there between the obstacles.
+        views, copied = viewpoints_at(mesh, goals[kept]).split()
+        kept = kept[copied]
+        # 3. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
         #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
         count, vertices = len(kept), corners.corners.with_goal(*goals[kept])
-        table, (goal, corner) = goals_in_sight(workspace, corners, goals[kept])
+        table, (goal, corner) = _views_in_sight(workspace, corners, views)
+        goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
-        number = np.append(kept, num_goals + np.arange(len(corners.arcs.start)))
+        number = np.append(kept, num_goals + corners.copied)
         start = np.append(np.arange(count), count + corners.arcs.start)
         onward = np.append(np.full(count, end), count + corners.arcs.end)
         arcs = Arcs(onward, start, np.append(offsets[kept], corners.arcs.length))
@@ -420,16 +435,19 @@ class NearestPaths:
         edges = np.concatenate([np.stack([goal, count + corner], axis=1), count + corners.edges])
         adjacency = Graph(points, edges, arcs=arcs).adjacency
         distances, parents = dijkstra(adjacency, end)
-        # 3. Find the roots: vertices whose paths start with an arc. Of equal arcs, the first counts.
+        # 4. Find the roots: vertices whose paths start with an arc. Of equal arcs, the first counts.
         roots, exits = np.full(end, -1), np.arange(end)
         taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
         roots[start[taken]] = number[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
         parents = np.where(roots < 0, parents[:-1], -1)
         sources = replace(_sources(vertices.points, distances[:-1], parents), roots=roots, exits=exits)
-        # 4. List the sources at which paths from each triangle may turn first.
-        views = viewpoints_at(mesh, goals[kept]).append(corners.views)
-        turns = find_turn_points(vertices, sources.distances, parents, num_goals=0)
+        # 5. List the sources at which paths from each triangle may turn first. Directions are those between rounded
+        #    points, as goals beside a corner may lie on another side of it before they are rounded.
+        views = views.append(corners.views)
+        rounded = replace(vertices, points=views.points)
+        turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)
+        turns = replace(turns, points=vertices.points[turns.vertex])
         visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
         regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
         return cls(workspace, sources, regions, joined_tables([table, corners.table]))
