@@ -42,13 +42,13 @@ class Building(PickledWithoutCaches):
     links: tuple[Link, ...] = field(repr=False)
 
     def __init__(self, floors: Iterable[Workspace], links: Iterable[Link] = ()):
-        floors, links = (tuple(x) if isinstance(x, Iterable) else (x,) for x in (floors, links))
-        for floor in floors:
+        all_floors, all_links = tuple(floors), tuple(links)
+        for floor in all_floors:
             require_workspace(floor)
-        if len({floor.squeeze for floor in floors}) != 1:
-            raise ValueError(f"A building needs one or more floors with equal squeeze, got {shortened(floors)}.")
-        set_fields(self, floors=floors, links=links)
-        for i, link in enumerate(links):
+        if len({floor.squeeze for floor in all_floors}) != 1:
+            raise ValueError(f"A building needs one or more floors with equal squeeze, got {shortened(all_floors)}.")
+        set_fields(self, floors=all_floors, links=all_links)
+        for i, link in enumerate(all_links):
             if not isinstance(link, Link):
                 raise ValueError(f"links must be plr_jax.Link(start, end, cost), got {shortened(link)} at {i}.")
             self.require_free(f"The start of link {i}", link.start)
@@ -168,7 +168,7 @@ class BuildingOracle:
         points = [start[0]]
         while True:
             points.append(sources.points[source])
-            if (root := sources.roots[source]) < 0:  # the path goes on to the next corner
+            if (root := self.paths.roots[source]) < 0:  # the path goes on to the next corner
                 source = sources.parents[source]
                 continue
             path = np.stack(points)
@@ -176,7 +176,7 @@ class BuildingOracle:
             if root < len(self.goals):
                 return floors.route(legs, arcs)
             arcs.append(int(root) - len(self.goals))
-            source, floor = sources.exits[source], floors.arcs[arcs[-1]].end[0]
+            source, floor = self.paths.exits[source], floors.arcs[arcs[-1]].end[0]
             points = []
 
     def __getitem__(self, floor: int) -> NearestGoal:
@@ -189,14 +189,14 @@ class BuildingOracle:
         if not 0 <= floor < len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
-        root = np.flatnonzero(sources.roots >= 0)
+        root = np.flatnonzero(self.paths.roots >= 0)
         points = sources.points[root] - shift
         clipped = np.clip(points, bounds.lo, bounds.hi)
         here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
         if not here.any():
             raise ValueError(f"No goal can be reached from floor {floor}.")
         root, (first, *others) = root[here], clipped[here]
-        graph = VisibilityGraph(building.floors[floor], first)
+        graph: Any = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 
     def construct(self, leaf: Any = "cone", **options: Any) -> "BuildingPLR":

@@ -181,8 +181,8 @@ def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "
 
     ``views`` are the corners at which paths can turn.
     """
-    corner, at_vertex = np.full(len(boundary.vertices), -1), views.at_vertex(boundary)
-    corner[boundary.edges[views.edge[at_vertex], 0]] = views.owner[at_vertex]
+    corner = np.full(len(boundary.vertices), -1)
+    corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
 
 

@@ -401,6 +401,8 @@ class NearestPaths:
     dim: ClassVar[int] = 2
     workspace: Workspace
     sources: Sources
+    roots: Int[np.ndarray, " sources"]  # number of each root; -1 for other sources
+    exits: Int[np.ndarray, " sources"]  # source where the path of a root goes on; itself for other sources and goals
     regions: TurnRegions  # of all sources: paths may turn at a goal or place in any direction
     table: VisibilityTable
 
@@ -450,7 +452,7 @@ class NearestPaths:
         turns = replace(turns, points=vertices.points[turns.vertex])
         visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
         regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
-        return cls(workspace, sources, regions, joined_tables([table, corners.table]))
+        return cls(workspace, sources, roots, exits, regions, joined_tables([table, corners.table]))
 
     def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
         """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
@@ -469,11 +471,11 @@ class NearestPaths:
     def which(self, x: ArrayLike) -> Int[np.ndarray, " n"]:
         """Return the number of the root at which the path from each point ``(n, 2)`` ends; -1 without a path."""
         source, _ = self.first_turns(as_points("x", x, 2))
-        return np.where(source < 0, -1, self.sources.roots[path_ends(self.sources.parents)[source]])
+        return np.where(source < 0, -1, self.roots[path_ends(self.sources.parents)[source]])
 
     def reach(self, domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points without a path; None if there are none."""
-        return self.workspace.reach(self.sources.points[self.sources.roots >= 0], domain)
+        return self.workspace.reach(self.sources.points[self.roots >= 0], domain)
 
     def cell_sources(self, domain: Box) -> CellSources:
         """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first."""

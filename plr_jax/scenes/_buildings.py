@@ -74,4 +74,4 @@ def _read_floor(file: Path, i: int, entry: Any) -> Workspace:
 def _read_link(entry: Any) -> Link:
     if not isinstance(entry, dict) or not set(_KEYS) <= set(entry):
         raise ValueError(f"expected links with {', '.join(_KEYS)}, got {shortened(entry)}.")
-    return Link(*(entry[key] for key in _KEYS), entry.get("both_ways", True))
+    return Link(entry["start"], entry["end"], entry["cost"], entry.get("both_ways", True))
