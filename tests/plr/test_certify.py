@@ -81,7 +81,7 @@ def critical_points(plr, oracle, n, seed=0):
 
 
 def check_within(plr, x, exact, least=5_000):
-    """Check bounds at points with a finite distance. All are asked, so that one program answers any choice of them."""
+    """Check bounds at points with a finite distance; all points are asked, so that one program answers any choice."""
     is_finite = np.isfinite(exact)
     lower, upper = (np.asarray(bound, np.float64)[is_finite] for bound in plr.bounds(x))
     x, exact = x[is_finite], exact[is_finite]

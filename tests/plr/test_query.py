@@ -157,8 +157,8 @@ def test_leaves_of_the_greatest_depth_are_found_by_pages_and_blocks():
     for axes in ([0] * 23, [0] * 22 + [1] * 6, [0, 1] * 14, [0, 1, 2] * 9, [*range(20)]):
         cells = chain(axes)
         x = np.ldexp(cells.position + 0.25, -cells.depth)  # the finest are one last bit wide, whose middle is rounded
-        for tables in (tables_of(cells, 1000), tables_of_numbers(cells, 1000)):
-            found = jax.jit(query.lookup)(tables, x.astype(np.float32))
+        for paged_or_not in (tables_of(cells, 1000), tables_of_numbers(cells, 1000)):
+            found = jax.jit(query.lookup)(paged_or_not, x.astype(np.float32))
             np.testing.assert_array_equal(found, np.arange(len(cells)))
 
 
