@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import require_time
+from plr_jax._arrays import batches, require_time
 from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -156,8 +156,7 @@ def motions_apart(
         size_a, size_b = half_a, half_b
     is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
     # 4. Test the undecided pairs exactly.
-    for begin in range(0, len(where[0]), _CHUNK_PAIRS):
-        rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
+    for rows in zip(*(batches(index, _CHUNK_PAIRS) for index in where), strict=True):
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
         a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
         apart[rows] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, require_time, take_ragged
+from plr_jax._arrays import batches, parts, require_time, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -54,9 +54,8 @@ class MotionTest:
         # 3. Compute the clearance at each center, and the edges within reach: cell i has the edges
         #    _edge[_first[i] : _first[i + 1]].
         counts, edges, clearance = [], [], []
-        for begin in range(0, len(centers), _CENTERS):
+        for part in batches(centers, _CENTERS):
             require_time(deadline, _PURPOSE)
-            part = centers[begin : begin + _CENTERS]
             points = np.asarray(shapely.points(part))
             near, edge = workspace.edge_tree.query(points, predicate="dwithin", distance=reach)
             edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
@@ -72,8 +71,8 @@ class MotionTest:
         wall. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
         if len(q0) > _CHUNK:
-            chunks = (slice(begin, begin + _CHUNK) for begin in range(0, len(q0), _CHUNK))
-            return np.concatenate([self(q0[rows], q1[rows], deadline) for rows in chunks])
+            chunks = zip(batches(q0, _CHUNK), batches(q1, _CHUNK), strict=True)
+            return np.concatenate([self(*ends, deadline) for ends in chunks])
         # Clearances at the centers of grid cells decide most motions. The other motions are tested against walls.
         # 1. Cut each motion into equal pieces no longer than `_longest`. Bound the clearance from below on each piece
         #    and, in its middle (x, y), from above.

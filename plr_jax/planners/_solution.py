@@ -5,7 +5,7 @@ import json
 import math
 import os
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -142,23 +142,17 @@ class Solution:
         ``ValueError`` if the solution is inconsistent or the file would be larger than 64 MiB, ``OSError`` if writing
         fails.
         """
-        stats = self.stats
         entry = {
             "format": format_name(_KIND),
             "version": _VERSION,
             "status": self.status.name,
             **{name: None if (number := getattr(self, name)) == math.inf else float(number) for name in _NUMBERS},
-            "stats": {
-                **{name: int(getattr(stats, name)) for name in _COUNTS},
-                "seconds": {phase: float(seconds) for phase, seconds in stats.seconds.items()},
-                "history": [[float(seconds), float(cost)] for seconds, cost in stats.history],
-                "found_by": stats.found_by,
-            },
-            "times": None if self.times is None else self.times.tolist(),
-            "path": None if self.path is None else self.path.tolist(),
+            "stats": {**asdict(self.stats), **{name: int(getattr(self.stats, name)) for name in _COUNTS}},
+            "times": self.times,
+            "path": self.path,
         }
         _solution_from_json(entry)  # raises if the file could not be read back
-        data = (json.dumps(entry, allow_nan=False) + "\n").encode()
+        data = (json.dumps(entry, allow_nan=False, default=lambda numbers: numbers.tolist()) + "\n").encode()
         if len(data) > _MOST_BYTES:
             raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, this one has {len(data):,}.")
         write_atomically(file_path(path), data)
@@ -249,7 +243,7 @@ def _stats_from_json(entry: Any) -> Stats:
     for name in _COUNTS:
         require_integer(f'"{name}"', entry[name], 0)
     seconds, history, found_by = entry["seconds"], entry["history"], entry["found_by"]
-    are_pairs = isinstance(history, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in history)
+    are_pairs = isinstance(history, list | tuple) and all(isinstance(p, list | tuple) and len(p) == 2 for p in history)
     if not isinstance(seconds, dict) or not isinstance(found_by, str) or not are_pairs:
         expected = '"seconds" to be an object, "found_by" a string, and "history" a list of pairs [seconds, cost]'
         raise ValueError(f"expected {expected}, got {shortened(entry)}.")

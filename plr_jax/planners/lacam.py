@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import batches
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, Table
@@ -151,8 +152,7 @@ class TeamMoves:
             a, b = divmod(pair, len(self.kinds))
             size = max(1, _MOST // (self.kinds[a].cost.shape[1] * self.kinds[b].cost.shape[1]))
             members = np.flatnonzero(pairs == pair)
-            for begin in range(0, len(members), size):
-                chunk = members[begin : begin + size]
+            for chunk in batches(members, size):
                 yield a, b, first[chunk], second[chunk]
 
 

@@ -271,7 +271,7 @@ class _LifelongTeam:
     def plan_from_nothing(self) -> Status:
         """Plan the whole team without regard to its present plan; return SOLVED, or why there is no path."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
-        solution = plan(self._current_problem(self.problem.goals))
+        solution = plan(replace(self.problem, starts=self.path[0]))
         self._num_from_nothing += 1
         self._num_idle = 0
         if solution.path is None or solution.status is Status.INTERRUPTED:
@@ -316,7 +316,7 @@ class _LifelongTeam:
         """
         began = time.process_time()
         if ((goals := self._possible_goals()) != self.problem.goals).any():
-            self.problem = self._current_problem(goals)
+            self.problem = replace(self.problem, starts=self.path[0], goals=goals)
         try:
             status = self.plan_from_nothing() if self.plan else self._replan_waiting()
         except TimeoutError:
@@ -326,16 +326,12 @@ class _LifelongTeam:
 
     def result(self, status: Status) -> LifelongRun:
         """Return the run so far: a path from the first starts to the present configurations, and the goals served."""
-        path, problem = np.concatenate(self._done), self.problem
-        problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
+        path = np.concatenate(self._done)
+        problem = replace(self.problem, starts=path[0], goals=path[-1])
         robots, rows = (np.array([entry[k] for entry in self.served], dtype=np.intp) for k in (0, 1))
         goals = np.array([goal for *_, goal in self.served]).reshape(-1, problem.dof)
         times, seconds = row_times(problem, path), np.array(self._seconds)
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
-
-    def _current_problem(self, goals: Goals) -> Problem:
-        problem = self.problem
-        return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
         """Return each robot's requested goal, or its previous goal if bodies at requested goals would overlap."""

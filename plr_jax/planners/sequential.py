@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.csgraph import shortest_path
 
+from plr_jax._arrays import path_from_root
 from plr_jax._problem import Problem
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
@@ -64,10 +65,7 @@ class CornerRoadmap:
         return Routes(self, first, last, float(cost[0]), out, home, to_go)
 
     def between(self, u: int, v: int) -> Route:
-        route = [v]
-        while route[-1] != u:
-            route.append(int(self._previous[u, route[-1]]))
-        return [self.places[corner] for corner in reversed(route)]
+        return [self.places[corner] for corner in path_from_root(self._previous[u], v)]
 
 
 _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import ragged_indices, require_time, take_ragged
+from plr_jax._arrays import path_from_root, ragged_indices, require_time, take_ragged
 from plr_jax._problem import Problem, path_cost, straight_costs
 from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, within_reach
 from plr_jax.robots import between
@@ -118,10 +118,7 @@ def _with_shortcuts(
     is_edge[shortcuts[is_apart]] = True
     graph = csr_array((cost[is_edge], (begin[is_edge], end[is_edge])), shape=(len(q), len(q)))
     previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
-    rows = [len(q) - 1]
-    while rows[-1] > 0:
-        rows.append(int(previous[rows[-1]]))
-    return rows[::-1], in_way
+    return path_from_root(previous, len(q) - 1), in_way
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:

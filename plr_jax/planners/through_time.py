@@ -6,14 +6,14 @@ needs at that speed. In the other searches, all robots make one lattice motion i
 """
 
 import heapq
-import math
+from math import inf
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import ragged_indices, require_time
+from plr_jax._arrays import path_from_root, ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
 from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
@@ -38,9 +38,7 @@ class Timetable:
     ``path`` has the configurations, ``ends`` the row in which each robot comes to rest.
     """
 
-    def __init__(
-        self, problem: Problem, path: JointPath, patience: float | int = math.inf, deadline: float = math.inf
-    ):
+    def __init__(self, problem: Problem, path: JointPath, patience: float | int = inf, deadline: float = inf):
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         # For each robot, the row in which it comes to rest, the one after the last row that differs from its end.
@@ -100,7 +98,7 @@ class Timetable:
         there is no such row.
         """
         # Robots at rest block `q` for `patience` rows after the last row.
-        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
+        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
         is_taken = np.zeros(len(row), dtype=bool)
         is_taken[self._meetings(i, stay, stay, row)[0]] = True
@@ -170,7 +168,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     nodes, rows, parents = [lattice.start], [0], [-1]
     open_states = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     visited = {(lattice.start, 0)}  # nodes, and rows divided by _WAIT
-    best, arrived = math.inf, -1  # row of the earliest arrival so far, and its state
+    best, arrived = inf, -1  # row of the earliest arrival so far, and its state
     num_expanded = 0
     if lattice.start == lattice.goal and free_from[0] == 0:
         best, arrived = 0, 0
@@ -212,11 +210,8 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
                 break
         else:
             return None, False
-    # 4. Follow the parents back to the start.
-    chain = [last]
-    while parents[chain[-1]] >= 0:
-        chain.append(parents[chain[-1]])
-    chain.reverse()
+    # 4. Follow the path from the start to this state.
+    chain = path_from_root(parents, last)
     return _straightened(timetable, i, weight, length, q[node[chain]], row[chain]), arrived >= 0
 
 
