@@ -12,20 +12,19 @@ must not lead from one part to another.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import is_single
-from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
+from plr_jax._problem import JointPath, Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups
 from plr_jax.robots import Robot, between, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
-Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
 _SLACK = 1e-3  # share of the distance by which a point may be outside of free space: less than any wall is thick
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
 
@@ -218,7 +217,7 @@ class _Encounter:
             begin[1::2] += size
 
 
-def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
+def _encounters(problem: Problem, path: JointPath, margin: float) -> list[_Encounter]:
     """Return the pairs of objects whose clearance must be measured, sorted by the indices of their robots.
 
     Each robot is paired with the blocked region. Two robots are paired if they may collide, or may have the smallest
@@ -251,7 +250,7 @@ def _tolerance(workspace: Workspace) -> float:
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
-def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, int, int]]:
+def _least_clearances(robots: Sequence[Robot], path: JointPath) -> list[tuple[float, int, int]]:
     """Return, for each pair of robots, a lower bound of their clearance on the path, and the indices of both robots.
 
     Pairs come by ascending bound. Pairs of two points, which never collide, are left out.
@@ -295,7 +294,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
-def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
+def _find_crossing(problem: Problem, path: JointPath, margin: float) -> tuple[int, float, str] | None:
     """Find the first motion in which a point robot crosses a wall, or a contact (a point where obstacles touch).
 
     Return the robot's index, the index of the motion and a message, or None if there is no such motion. A point may
@@ -355,7 +354,7 @@ def _first_crossing(workspace: Workspace, track: Float[np.ndarray, "steps 2"], m
     return None
 
 
-def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | None:
+def _find_wrong_end(problem: Problem, path: JointPath) -> tuple[int, float, str] | None:
     for row, expected, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), expected[i, : robot.dof].tolist()

@@ -29,7 +29,6 @@ OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
 OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
-Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
@@ -85,14 +84,14 @@ class TeamTrajectory:
         return np.divmod(np.concatenate(near), num_robots)
 
 
-def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
-    """Return the indices ``i`` for which two robots may meet if each stays in its i-th circle.
+def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Bool[np.ndarray, " n"]:
+    """Return, for each ``i``, whether two robots may meet if each stays in its i-th circle.
 
     The reference point of ``robot_a`` stays in circles of ``around_a``, the reference point of ``robot_b`` in circles
     of ``around_b``.
     """
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
-    return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
+    return (around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
@@ -117,7 +116,7 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
 
 def motions_apart(
     robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
-) -> Apart:
+) -> Bool[np.ndarray, "*batch"]:
     """Return whether two robots stay apart while one moves from ``a0`` to ``a1`` and the other from ``b0`` to ``b1``.
 
     Configurations ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, with one
@@ -189,7 +188,7 @@ class JointMotionTest:
             free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
         return free
 
-    def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:
+    def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Bool[np.ndarray, "*batch"]:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(

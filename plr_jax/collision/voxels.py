@@ -1,6 +1,6 @@
 """Tests whether a point or ball keeps clear of blocked voxels: at points, in boxes, and on straight motions."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from itertools import product
 
@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid, spread
 
-_MOTIONS_AT_ONCE = 1 << 14  # bounds the memory
 _ROWS_AT_ONCE = 1 << 18  # rows of voxels; bounds the memory
 _SHORT = 0.5  # pieces of motions up to this share of a voxel are tested against single voxels
 _NEARLY = 1 + 2.0**-49  # ratio of computed times within which rounding may have changed their order
@@ -82,20 +81,11 @@ def _rows_within(
         yield box, begin, end
 
 
-def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordinates, q1: Coordinates) -> Booleans:
-    batches = (slice(begin, begin + _MOTIONS_AT_ONCE) for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE))
-    return np.concatenate([np.zeros(0, bool), *(test(q0[:, batch], q1[:, batch]) for batch in batches)])
-
-
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     """Return whether each straight motion of a ball, with its center from ``q0`` to ``q1``, hits no blocked voxel.
 
     The result is exact up to rounding errors. Touching is allowed.
     """
-    return _in_batches(lambda a, b: _ball_keeps_clear(grid, a, b, radius), q0, q1)
-
-
-def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     # Bisect each motion until its parts are far from blocked voxels, the ball hits one in the middle of a part, or a
     # part is so short that the few voxels near it are tested exactly. A part is a motion, its begin and its width (as
     # shares of the motion; all parts are equally wide).
@@ -169,15 +159,7 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     return np.sum(excess(t0 + np.clip(fraction, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
 
-def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
-    """Return whether each straight motion of a point, from ``q0`` to ``q1``, enters no blocked voxel.
-
-    Touching is allowed.
-    """
-    return _in_batches(lambda a, b: _Traversal(grid, a, b).passes(), q0, q1)
-
-
-class _Traversal:
+class Traversal:
     """An exact traversal of voxels along many motions at once, from one crossed face to the next.
 
     A motion within a face or an edge touches several voxels at once. So the state of a motion is a set: the free
@@ -207,7 +189,10 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)  # in bytes, which are the voxels' indices in `padded.ravel()`
 
     def passes(self) -> Booleans:
-        """Return whether each motion passes: whether it can be in at least one free voxel at its end."""
+        """Return whether each straight motion of a point, from ``q0`` to ``q1``, enters no blocked voxel.
+
+        Touching is allowed. A motion passes if it can be in at least one free voxel at its end.
+        """
         # 1. A motion passes if no voxel is blocked in its bounding box.
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0

@@ -146,8 +146,7 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
             if dim is not None and dim > dof:
                 raise ValueError(f"{name} takes {dim} coordinates, but configurations have {dof}.")
             try:
-                values = as_values(name, fn(batch[:, i, :dim]), len(batch))
-                result[:, i] = values[: len(part)]
+                result[:, i] = as_values(name, fn(batch[:, i, :dim]), len(batch))[: len(part)]
             except Exception as error:
                 if dim is None and dof == 3:
                     hint = "If it is a function of (x, y), set its attribute `dim`: `fn.dim = 2`."

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
 from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
-from plr_jax._problem import Problem, motion_costs, path_cost, row_times
+from plr_jax._problem import JointPath, Problem, motion_costs, path_cost, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.robots import between, rows_around
 
@@ -70,7 +70,7 @@ class Stats:
         return self.history[0][0] if self.history else math.inf
 
 
-JointPath: TypeAlias = Float[np.ndarray, "steps robots dof"]
+Samples: TypeAlias = Float[np.ndarray, "nodes robots dof"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Solution:
     lower_bound: float
     status: Status
     stats: Stats
-    samples: Float[np.ndarray, "nodes robots dof"]
+    samples: Samples
     motions_factor: float = math.inf
     times: Float[np.ndarray, " steps"] | None = None
 
@@ -187,18 +187,12 @@ class Solution:
 
 
 def make_solution(
-    problem: Problem,
-    path: JointPath | None,
-    lower_bound: float,
-    status: Status,
-    stats: Stats,
-    samples: Float[np.ndarray, "nodes robots dof"],
-    motions_factor: float = math.inf,
+    problem: Problem, path: JointPath | None, lower_bound: float, status: Status, stats: Stats, samples: Samples
 ) -> Solution:
     if path is None:
         return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
-    return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, motions_factor, times)
+    return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, times=times)
 
 
 def straight_line_bound(problem: Problem) -> float:
@@ -243,7 +237,8 @@ def _stats_from_json(entry: Any) -> Stats:
     for name in _COUNTS:
         require_integer(f'"{name}"', entry[name], 0)
     seconds, history, found_by = entry["seconds"], entry["history"], entry["found_by"]
-    are_pairs = isinstance(history, list | tuple) and all(isinstance(p, list | tuple) and len(p) == 2 for p in history)
+    lists = list, tuple  # `Solution.save` checks tuples before it writes them as lists
+    are_pairs = isinstance(history, lists) and all(isinstance(pair, lists) and len(pair) == 2 for pair in history)
     if not isinstance(seconds, dict) or not isinstance(found_by, str) or not are_pairs:
         expected = '"seconds" to be an object, "found_by" a string, and "history" a list of pairs [seconds, cost]'
         raise ValueError(f"expected {expected}, got {shortened(entry)}.")

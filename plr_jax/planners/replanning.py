@@ -11,16 +11,17 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
-from plr_jax._problem import Problem, motion_costs, row_times, settled_pose, straight_costs
+from plr_jax._problem import JointPath, Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
 from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.searches import BLOptions, require_problem_and_options
-from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
+from plr_jax.planners.through_time import ROWS_PER_STEP, Motion, Timetable, plan_through_time, subdivided
 
-Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-_DEFAULTS = BLOptions()
+NextGoalFn: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
+PlanFn: TypeAlias = Callable[[Problem], Solution]
+_DEFAULT = BLOptions()
 _ROUNDING = 1e-9
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
 # For `replan`:
@@ -34,11 +35,7 @@ _MOST_IDLE = 5  # how often the next arrival is put off, or none is planned, bef
 
 
 def replan(
-    problem: Problem,
-    solution: Solution,
-    at: float | int,
-    options: BLOptions = _DEFAULTS,
-    standing: Sequence[int] = (),
+    problem: Problem, solution: Solution, at: float | int, options: BLOptions = _DEFAULT, standing: Sequence[int] = ()
 ) -> Solution:
     """Replan a moving team after a change; robots keep motions that still lead to their goals, if possible.
 
@@ -198,11 +195,7 @@ class LifelongRun:
 
 
 def lifelong(
-    problem: Problem,
-    next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
-    num_goals: int,
-    options: BLOptions = _DEFAULTS,
-    plan: Callable[[Problem], Solution] | None = None,
+    problem: Problem, next_goal: NextGoalFn, num_goals: int, options: BLOptions = _DEFAULT, plan: PlanFn | None = None
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the other robots go on.
 
@@ -250,7 +243,7 @@ def lifelong(
 class _LifelongTeam:
     """State of a lifelong run: the team's planned motions, its goals, and a record of the motions made so far."""
 
-    def __init__(self, problem: Problem, options: BLOptions, plan: Callable[[Problem], Solution] | None):
+    def __init__(self, problem: Problem, options: BLOptions, plan: PlanFn | None):
         # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
         self.problem, self.options, self.plan = problem, options, plan
         self.path = problem.starts[None]  # from now on
@@ -294,8 +287,7 @@ class _LifelongTeam:
         self._num_rows += row
         self.path = self.path[row:]
         # 3. Serve the robots that are at their goals now, unless the next one arrives later.
-        is_early = len(arrivals) and row < arrival
-        arrived = [] if is_early else np.flatnonzero(is_there[row]).tolist()
+        arrived = [] if len(arrivals) and row < arrival else np.flatnonzero(is_there[row]).tolist()
         self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 
@@ -333,7 +325,7 @@ class _LifelongTeam:
         times, seconds = row_times(problem, path), np.array(self._seconds)
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
-    def _possible_goals(self) -> Goals:
+    def _possible_goals(self) -> Float[np.ndarray, "robots dof"]:
         """Return each robot's requested goal, or its previous goal if bodies at requested goals would overlap."""
         # Going back to a previous goal may cause another overlap, so all new goals are then tested again. This ends,
         # since previous goals never overlap, and a goal that went back stays.

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import path_from_root, ragged_indices, require_time
-from plr_jax._problem import Problem, row_times, straight_costs
+from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
+from plr_jax._problem import JointPath, Problem, row_times, straight_costs
 from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots import between
@@ -29,7 +29,6 @@ Rows = Int[np.ndarray, "m"]
 Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
-JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
@@ -202,8 +201,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     if last < 0:
         is_narrow = problem.workspace.clearance(q[node, :2]) < _ROOM * robot.circumscribed_radius
         order = np.lexsort((to_go[node], is_narrow))  # by `is_narrow`, then by `to_go`
-        for offset in range(0, len(order), _BATCH):
-            state = order[offset : offset + _BATCH]
+        for state in batches(order, _BATCH):
             count = np.full(len(state), int(min(timetable.patience, len(timetable.path))))
             if (may_rest := timetable.are_free(i, q[node[state]], q[node[state]], row[state], count)).any():
                 last = int(state[may_rest.argmax()])

@@ -56,7 +56,7 @@ class PlanarArm:
         workspace: Any,
         lengths: ArrayLike,
         base: ArrayLike,
-        width: float | int = 0.0,
+        width: float | int = 0,
         self_collision: bool = False,
     ):
         require_workspace(workspace)

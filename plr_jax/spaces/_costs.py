@@ -45,14 +45,12 @@ class CostMap(Protocol):
 
     def __call__(self, q: ArrayLike, /) -> Numbers:
         """Return the factor of the motion cost, ``(n,)``, at configurations ``(n, dof)``."""
-        ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Numbers, Numbers]:
         """Return positive lower and finite upper bounds of the factor, ``(n,)``, over boxes from ``lo`` to ``hi``.
 
         Boxes may extend beyond the domain along periodic axes.
         """
-        ...
 
 
 @runtime_checkable
@@ -98,7 +96,6 @@ class DirectionalCost(CostMap, Protocol):
         Returns:
             The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -216,8 +213,7 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
     factors = as_values("The cost map", cost_map(q), len(q))
-    expected = "A cost map's factors must be positive and finite"
-    _require((factors > 0) & (factors < np.inf), expected, [factors], [q])
+    _require((factors > 0) & (factors < np.inf), "A cost map's factors must be positive and finite", [factors], [q])
     return factors, None
 
 

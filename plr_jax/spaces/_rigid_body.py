@@ -79,22 +79,18 @@ class RigidBodySpace(BodySpace):
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
         center, half = as_boxes(lo, hi, 3)
-        state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         # 1. A body far from all walls is free. This test is fast.
-        test = motion_test(self.workspace, self.robot)
         reach = _motion_bounds(half, 0.0)  # of the reference point; `has_room` allows any heading
-        has_room = test.has_room(center[:, 0], center[:, 1], reach)
-        state[has_room] = CellState.FREE
+        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], reach)
+        state = np.where(has_room, CellState.FREE, CellState.MIXED).astype(np.int8)
         # 2. Enclose what the body covers in the other boxes, batch by batch. A core of k vertices leads to hulls
         #    of 4 * (2 * k + 1) points.
-        unsure = np.flatnonzero(~has_room)
-        for part in batches(unsure, max(1, _POINTS // (8 * len(self.robot.core) + 4))):
-            state[part] = np.where(self._boxes_are_free(center[part], half[part]), CellState.FREE, CellState.MIXED)
+        for part in batches(np.flatnonzero(~has_room), max(1, _POINTS // (8 * len(self.robot.core) + 4))):
+            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         # 3. Of the other boxes, those whose center is not free may be blocked.
-        unsure = unsure[state[unsure] == CellState.MIXED]
+        unsure = np.flatnonzero(state == CellState.MIXED)
         unsure = unsure[~self.is_free(center[unsure])]
-        is_blocked = self._boxes_are_blocked(center[unsure], half[unsure])
-        state[unsure] = np.where(is_blocked, CellState.BLOCKED, CellState.MIXED)
+        state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:

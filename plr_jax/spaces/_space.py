@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -55,9 +54,9 @@ class MotionCost:
         # 2. Check that each axis occurs once, and that weights are positive.
         if not listed or sorted(listed) != list(range(len(listed))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
-        weight_of = partial(as_finite, "The weight of a block", positive=True)
-        checked = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
-        set_fields(self, blocks=checked)
+        weights = [as_finite("The weight of a block", weight, positive=True) for _, weight in pairs]
+        blocks = [tuple(map(int, axes)) for axes, _ in pairs]
+        set_fields(self, blocks=tuple(zip(blocks, weights, strict=True)))
 
     @property
     def dof(self) -> int:
@@ -99,16 +98,13 @@ class FreeTest(Protocol):
     @property
     def domain(self) -> Box:
         """The box of all configurations; outside it nothing is free. Periodic axes wrap around."""
-        ...
 
     @property
     def motion_cost(self) -> MotionCost:
         """Cost of a motion as a function of its change along each axis of the domain."""
-        ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether configurations ``(n, dof)`` are free; False for configurations that are not finite."""
-        ...
 
 
 @runtime_checkable
@@ -125,7 +121,6 @@ class ConfigurationSpace(FreeTest, Protocol):
 
         ``lo`` and ``hi`` are the boxes' corners, ``(n, dof)``. Boxes may extend beyond the domain.
         """
-        ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions from ``q0`` to ``q1``, ``(n, dof)``, are proven free all the way.
@@ -133,7 +128,6 @@ class ConfigurationSpace(FreeTest, Protocol):
         All axes change in proportion. Periodic axes take the short way; at exactly half a period, the space chooses
         one of the two ways. The result is False where an end is not finite.
         """
-        ...
 
 
 @runtime_checkable
@@ -149,7 +143,6 @@ class Separable(Protocol):
         Each part is a space of its own, in which configurations of the other part count as BLOCKED. The second part
         is None if it is empty.
         """
-        ...
 
 
 @runtime_checkable
@@ -165,7 +158,6 @@ class SeesBoxes(Protocol):
         Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. To see a configuration means that the straight motion from it
         to ``q[i]`` is free.
         """
-        ...
 
 
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:

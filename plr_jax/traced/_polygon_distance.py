@@ -17,6 +17,7 @@ from plr_jax.traced.corner_paths import CornerPairs, CornerPaths
 from plr_jax.traced.fields import FAR, as_array, as_floats, as_points, distance, replace_nonfinite, require_one_map
 from plr_jax.traced.polygons import PolygonCorners
 
+Bounds = Box | ArrayLike | None
 MOST_VERTICES = 256  # tests of sight grow with the cube of the number of vertices
 
 
@@ -69,15 +70,11 @@ class PolygonDistances:
 
 
 @overload
-def polygon_distance(
-    polygons: ArrayLike, goal: None, *, bounds: Box | ArrayLike | None = None
-) -> PolygonDistances: ...
+def polygon_distance(polygons: ArrayLike, goal: None, *, bounds: Bounds = None) -> PolygonDistances: ...
 @overload
+def polygon_distance(polygons: ArrayLike, goal: ArrayLike, *, bounds: Bounds = None) -> PolygonDistance: ...
 def polygon_distance(
-    polygons: ArrayLike, goal: ArrayLike, *, bounds: Box | ArrayLike | None = None
-) -> PolygonDistance: ...
-def polygon_distance(
-    polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Box | ArrayLike | None = None
+    polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bounds = None
 ) -> PolygonDistance | PolygonDistances:
     """Return a function that measures shortest paths among polygons whose vertices may be traced, as inside ``jit``.
 
@@ -112,10 +109,9 @@ def polygon_distance(
     if polygons.ndim != 3:
         raise ValueError(f"polygons must have shape (m, k, 2), got {polygons.shape}: use jax.vmap for several maps.")
     if (count := polygons.shape[0] * polygons.shape[1]) > MOST_VERTICES:
-        raise ValueError(
-            f"polygon_distance takes at most {MOST_VERTICES} vertices, got {count:,} with padding, in an array of "
-            f"shape {polygons.shape}: use VisibilityGraph, whose vertex_gradient has the derivatives."
-        )
+        got = f"{count:,} with padding, in an array of shape {polygons.shape}"
+        advice = "use VisibilityGraph, whose vertex_gradient has the derivatives"
+        raise ValueError(f"polygon_distance takes at most {MOST_VERTICES} vertices, got {got}: {advice}.")
     if goal is not None:
         goal = as_floats(as_points("goal", goal))
         if goal.ndim > 2 or not goal.size:

@@ -14,7 +14,6 @@ from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 
 FAR = 1e18  # outside every map; its square does not overflow
-Points = Float[Array, "*batch 2"]
 
 
 @jax.jit
@@ -29,7 +28,7 @@ def distance(field: Any, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*b
     return jnp.where(is_nan, jnp.nan, value.reshape(is_nan.shape))
 
 
-def replace_nonfinite(x: Points) -> Points:
+def replace_nonfinite(x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
     return jnp.where(jnp.isfinite(x), x, -FAR)
 
 

@@ -33,8 +33,7 @@ def pack(cells: Mask) -> Words:
 
 def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
     """Return the cells of a packed grid of ``w`` columns, as integers 0 and 1: the inverse of :func:`pack`."""
-    bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
-    return bits.reshape(len(words), -1)[:, :w]
+    return ((words[:, :, None] >> _PLACES) & jnp.uint32(1)).reshape(len(words), -1)[:, :w]
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
