@@ -192,16 +192,12 @@ class _Encounter:
             begin[1::2] += size
         return smallest
 
-    @property
-    def first_collision(self) -> int:  # index of the first motion that collides
-        return int((self.smallest < -self.tolerance).argmax())
-
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
         # Halve intervals as in `smallest`, but keep all intervals that may have a collision, up to the first interval
         # that has a collision in its middle.
-        motion, begin = self.first_collision, np.zeros(1)
+        motion, begin = int((self.smallest < -self.tolerance).argmax()), np.zeros(1)
         size = 1.0
         while True:
             middle = self.clearances(motion + begin + size / 2)
@@ -367,7 +363,7 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
     workspace = problem.workspace
     when = collision.first_moment
     # Take the smallest clearance at some moments of the first motion that collides: about minus the overlap's depth.
-    times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
+    times = np.append(int(when) + np.linspace(0.0, 1.0, 65), when)
     depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()

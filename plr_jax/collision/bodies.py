@@ -8,7 +8,6 @@ the bulge, is a lower bound of the gap. Each bisection divides the bulge by four
 Motions that stay uncertain count as collisions.
 """
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
@@ -74,7 +73,7 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
 
-def bisect(kernel: Kernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf) -> Booleans:
+def bisect(kernel: Kernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = np.inf) -> Booleans:
     """Return whether each body of ``a`` stays ``reach`` away from the body of ``b`` in the same column.
 
     The bodies move at the same time. A negative ``reach`` allows overlaps. ``kernel`` returns two gaps for each pair

@@ -4,7 +4,6 @@ During a motion, a robot stays in a circle around the motion's midpoint. Only pa
 are tested exactly. The tolerance of the exact tests is larger than the rounding errors of the circles.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -115,7 +114,7 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
 
 
 def motions_apart(
-    robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
+    robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = np.inf
 ) -> Bool[np.ndarray, "*batch"]:
     """Return whether two robots stay apart while one moves from ``a0`` to ``a1`` and the other from ``b0`` to ``b1``.
 
@@ -168,7 +167,7 @@ class JointMotionTest:
 
     workspace: Workspace
     robots: Sequence[Robot]
-    deadline: float = math.inf
+    deadline: float = np.inf
 
     @cached_property
     def wall_tests(self) -> tuple[MotionTest, ...]:

@@ -138,13 +138,12 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     # a sign; 0 if it is between the faces lo_a and hi_a. Half the derivative of the squared distance, the slope
     # sum_a change_a * excess_a(t), never decreases in t, and is linear between the times at which an axis crosses a
     # face. So the squared distance is least at the zero of the slope, or at an end of the motion.
-    lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
-    hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
+    lo, hi = (np.stack([faces[k + end] for faces, k in zip(grid.faces, voxel, strict=True)]) for end in (0, 1))
     change = q1 - q0
 
     def excess(time: Float[np.ndarray, " n"]) -> Coordinates:
         x = q0 + time * change
-        return np.maximum(x - hi, 0.0) - np.maximum(lo - x, 0.0)
+        return x - np.clip(x, lo, hi)
 
     # 1. Compute the slope at both ends of the motion, and at the times at which an axis crosses a face.
     crossing = [np.divide(face - q0, change, out=np.zeros_like(q0), where=change != 0) for face in (lo, hi)]
@@ -208,9 +207,7 @@ class Traversal:
                 return passes
             live = self._cross(rows, live)
 
-    def _cross(
-        self, rows: Int[np.ndarray, " some"], live: Bool[np.ndarray, "some corners"]
-    ) -> Bool[np.ndarray, "..."]:
+    def _cross(self, rows: Int[np.ndarray, " n"], live: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "..."]:
         # Move `at` across the next faces, and return in which of the voxels around that point each motion can be.
         # 1. Find the faces that each motion crosses next, and the free voxels around the crossing.
         step, layers = self.step[:, rows], self.layers[:, rows]

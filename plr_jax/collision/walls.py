@@ -5,7 +5,6 @@ A grid over the bounds stores the clearance at each cell's center, and the walls
 walls near their cells or, for point robots, against all walls by ``Workspace.is_visible``.
 """
 
-import math
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -35,7 +34,7 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 class MotionTest:
     """A test, with a deadline, whether straight motions keep a robot off obstacles and within the bounds."""
 
-    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
+    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = np.inf):
         self.workspace, self.robot = workspace, robot
         # 1. Choose cells about half as large as the robot. A robot no larger than the tolerance counts as a point.
         width = workspace.bounds.width
@@ -64,7 +63,7 @@ class MotionTest:
         self._first, self._edge = np.append(0, np.cumsum(np.concatenate(counts))), np.concatenate(edges)
         self._clearance = np.concatenate(clearance)
 
-    def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
+    def __call__(self, q0: Configurations, q1: Configurations, deadline: float = np.inf) -> Booleans:
         """Return whether motions between finite configurations are collision-free, up to ``workspace.tolerance``.
 
         The result is exact, with one exception: it may be False if a robot turns within about 1e-7 of its size from a
@@ -211,5 +210,5 @@ class IgnoredByCache(float):
 _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
-def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
+def motion_test(workspace: Workspace, robot: Robot, deadline: float = np.inf) -> MotionTest:
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))

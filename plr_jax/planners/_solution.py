@@ -2,7 +2,6 @@
 
 import enum
 import json
-import math
 import os
 import time
 from dataclasses import asdict, dataclass, field
@@ -67,7 +66,7 @@ class Stats:
     @property
     def first_solution(self) -> float:
         """Seconds to the first path; ``inf`` if there is none."""
-        return self.history[0][0] if self.history else math.inf
+        return self.history[0][0] if self.history else np.inf
 
 
 Samples: TypeAlias = Float[np.ndarray, "nodes robots dof"]
@@ -100,7 +99,7 @@ class Solution:
     status: Status
     stats: Stats
     samples: Samples
-    motions_factor: float = math.inf
+    motions_factor: float = np.inf
     times: Float[np.ndarray, " steps"] | None = None
 
     @property
@@ -108,7 +107,7 @@ class Solution:
         """Proven upper bound of the ratio of the path's cost to the least possible cost; ``inf`` if there is none."""
         if self.cost == 0:
             return 1.0
-        return self.cost / self.lower_bound if self.lower_bound > 0 else math.inf
+        return self.cost / self.lower_bound if self.lower_bound > 0 else np.inf
 
     @property
     def solved(self) -> bool:
@@ -146,7 +145,7 @@ class Solution:
             "format": format_name(_KIND),
             "version": _VERSION,
             "status": self.status.name,
-            **{name: None if (number := getattr(self, name)) == math.inf else float(number) for name in _NUMBERS},
+            **{name: None if (number := getattr(self, name)) == np.inf else float(number) for name in _NUMBERS},
             "stats": {**asdict(self.stats), **{name: int(getattr(self.stats, name)) for name in _COUNTS}},
             "times": self.times,
             "path": self.path,
@@ -190,7 +189,7 @@ def make_solution(
     problem: Problem, path: JointPath | None, lower_bound: float, status: Status, stats: Stats, samples: Samples
 ) -> Solution:
     if path is None:
-        return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
+        return Solution(None, np.inf, np.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
     return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, times=times)
 
@@ -205,7 +204,7 @@ def _solution_from_json(entry: Any) -> Solution:
     status = entry["status"]
     if not isinstance(status, str) or status not in Status.__members__:
         raise ValueError(f'expected "status" to be one of {", ".join(Status.__members__)}, got {shortened(status)}.')
-    numbers = (math.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
+    numbers = (np.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
     cost, makespan, lower_bound, factor = numbers
     path = times = None
     parts = {name: entry[name] for name in ("cost", "makespan", "path", "times")}

@@ -5,7 +5,6 @@ node's *successors* are the best of its children, found by beam search. Successo
 """
 
 import heapq
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -94,7 +93,7 @@ def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"
     return Beam(step_score, primitive[rows, order], num_scored, num_valid, is_complete)
 
 
-def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
+def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.inf) -> list[Table]:
     """Return, for each robot, the robot's term of the heuristic at all nodes of its lattice.
 
     ``TimeoutError`` after the ``deadline``, a time of ``time.perf_counter``.

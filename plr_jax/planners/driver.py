@@ -400,8 +400,7 @@ def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: Tr
     """
     # 1. Cells about as large as the smallest robot give it room to pass. Points have size 0.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
-    sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
-    size = min(size or _POINT_STEP * extent for size in sizes)
+    size = min(min(robot.circumscribed_radius, robot.breadth) or _POINT_STEP * extent for robot in problem.robots)
     # 2. A crowd needs larger cells, as gaps narrower than a step stay closed.
     widths = np.array([robot.breadth for robot in problem.robots])
     wide = size * float(np.clip((widths.sum() / math.sqrt(area) / _CROWD_WIDTH) ** 2, 1.0, _MAX_CROWD_GROWTH))

@@ -28,8 +28,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.sparse import csgraph as sparse_graphs
-from scipy.sparse import csr_array
+from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import batches, ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
@@ -399,7 +398,7 @@ class Kind:
         edge = np.append(shared, terminal_edges[into_goal])
         end = np.append(self.end[shared], num_nodes + search[into_goal])
         graph = csr_array((self.edge_cost[edge], (end, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
-        costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
+        costs = csgraph.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
         return costs
 
@@ -410,7 +409,7 @@ class Kind:
         """
         edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
-        return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
+        return csgraph.dijkstra(graph, indices=self.terminals.node[row, 0])
 
 
 class Lattice:

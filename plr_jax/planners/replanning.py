@@ -1,6 +1,5 @@
 """Replanning of moving teams: after goals or walls change (``replan``), or as new goals arrive (``lifelong``)."""
 
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -90,7 +89,7 @@ def replan(
         raise ValueError(f"solution must be for {expected}, got a path for {solution.path.shape[1:]}.")
     if not np.isfinite(solution.path).all():
         raise ValueError("solution must have a finite path, got one with NaN or infinity.")
-    as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < math.inf)
+    as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < np.inf)
     apart = motion_costs(problem, solution.path_at(at), problem.starts)
     if (apart > problem.workspace.tolerance).any():
         i = int(apart.argmax())
@@ -259,7 +258,7 @@ class _LifelongTeam:
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
         self._num_from_nothing = 0
         self._num_idle = 0  # how often the next planned arrival was put off, or none was planned
-        self._due = math.inf  # row of the next planned arrival
+        self._due = np.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
         """Plan the whole team without regard to its present plan; return SOLVED, or why there is no path."""
@@ -299,7 +298,7 @@ class _LifelongTeam:
         # Without the heading if the robot has none.
         self.requested_goals[i, : robot.dof] = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]
         self._since[i] = self._num_rows
-        self._due, self._num_idle = math.inf, 0
+        self._due, self._num_idle = np.inf, 0
 
     def replan(self) -> Status:
         """Replan the team's motions from its present configurations to its goals; return SOLVED, or why this failed.
@@ -354,8 +353,8 @@ class _LifelongTeam:
         # 1. Count how often the next arrival was put off, or none is planned. Robots that wait, or stand at their
         #    goals, do not arrive.
         waits = (self.path[-1] != self.requested_goals).any(axis=1)
-        due = self._num_rows + np.where(waits | (timetable.ends == 0), math.inf, timetable.ends).min()
-        self._num_idle += due > self._due or due == math.inf
+        due = self._num_rows + np.where(waits | (timetable.ends == 0), np.inf, timetable.ends).min()
+        self._num_idle += due > self._due or due == np.inf
         self._due = due
         # 2. Replan the robots whose motions soon end before their goals, in the order in which they got their goals.
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))

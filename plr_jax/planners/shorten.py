@@ -12,8 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import path_from_root, ragged_indices, require_time, take_ragged
 from plr_jax._problem import JointPath, Problem, path_cost, straight_costs
@@ -116,7 +115,7 @@ def _with_shortcuts(
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
     is_edge[shortcuts[is_apart]] = True
     graph = csr_array((cost[is_edge], (begin[is_edge], end[is_edge])), shape=(len(q), len(q)))
-    previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
+    previous = csgraph.dijkstra(graph, indices=0, return_predecessors=True)[1]
     return path_from_root(previous, len(q) - 1), in_way
 
 

@@ -6,12 +6,10 @@ needs at that speed. In the other searches, all robots make one lattice motion i
 """
 
 import heapq
-from math import inf
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
 from plr_jax._problem import JointPath, Problem, row_times, straight_costs
@@ -37,7 +35,7 @@ class Timetable:
     ``path`` has the configurations, ``ends`` the row in which each robot comes to rest.
     """
 
-    def __init__(self, problem: Problem, path: JointPath, patience: float | int = inf, deadline: float = inf):
+    def __init__(self, problem: Problem, path: JointPath, patience: float | int = np.inf, deadline: float = np.inf):
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         # For each robot, the row in which it comes to rest, the one after the last row that differs from its end.
@@ -97,7 +95,7 @@ class Timetable:
         there is no such row.
         """
         # Robots at rest block `q` for `patience` rows after the last row.
-        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < inf else 0))
+        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < np.inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
         is_taken = np.zeros(len(row), dtype=bool)
         is_taken[self._meetings(i, stay, stay, row)[0]] = True
@@ -154,7 +152,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     is_free = np.isfinite(duration)
     first = np.append(0, np.cumsum(is_free.sum(axis=1)))  # of each node's motions
     graph = csr_array((duration[is_free], child[is_free], first), shape=(len(child), len(child)))
-    to_go = dijkstra(graph.T, indices=lattice.goal)
+    to_go = csgraph.dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
     free_from = timetable.next_free_rows(i, q[lattice.goal])  # by row: the next row from which the goal is free
 
@@ -167,7 +165,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     nodes, rows, parents = [lattice.start], [0], [-1]
     open_states = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     visited = {(lattice.start, 0)}  # nodes, and rows divided by _WAIT
-    best, arrived = inf, -1  # row of the earliest arrival so far, and its state
+    best, arrived = np.inf, -1  # row of the earliest arrival so far, and its state
     num_expanded = 0
     if lattice.start == lattice.goal and free_from[0] == 0:
         best, arrived = 0, 0

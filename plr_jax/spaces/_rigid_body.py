@@ -1,6 +1,5 @@
 """The configuration space of a rigid body in the plane, SE(2): positions and headings."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -20,7 +19,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
 
 # Radians. If the headings of a box differ by less than this from the middle heading, a polygon encloses the body at
 # all headings, else its circumscribed circle does.
-_WIDEST_ARC = math.pi / 3
+_WIDEST_ARC = np.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
@@ -52,7 +51,7 @@ class RigidBodySpace(BodySpace):
     def domain(self) -> Box:
         """The bounds of the workspace, and headings from ``-pi`` to ``pi``, which are periodic."""
         bounds = self.workspace.bounds
-        return Box((*bounds.lo, -math.pi), (*bounds.hi, math.pi), periodic=(False, False, True))
+        return Box((*bounds.lo, -np.pi), (*bounds.hi, np.pi), periodic=(False, False, True))
 
     @property
     def motion_cost(self) -> MotionCost:
@@ -191,7 +190,7 @@ def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, " n"]:
     """
     # The reference point moves by at most half a diagonal, and a turn by h moves the point by the chord
     # 2 * radius * sin(h / 2).
-    return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
+    return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], np.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Float[np.ndarray, " n"] | float = 0.0) -> Float[np.ndarray, "n k 2"]:

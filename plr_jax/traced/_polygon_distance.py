@@ -1,12 +1,10 @@
 """Distances among polygons that JAX may trace: the public function :func:`polygon_distance`."""
 
-from functools import reduce
 from typing import overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer
@@ -151,7 +149,7 @@ def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -
 def _make(
     polygons: Float[Array, "m k 2"], goals: Float[Array, "g 2"] | None, bounds: Float[Array, "2 2"]
 ) -> PolygonDistance | PolygonDistances:
-    dtype = reduce(jnp.promote_types, [each.dtype for each in (polygons, goals, bounds) if each is not None])
+    dtype = jnp.result_type(*(each.dtype for each in (polygons, goals, bounds) if each is not None))
     # 1. Mark padding by rows of NaN. A map without polygons gets one of padding alone.
     polygons = jnp.full((1, 1, 2), jnp.nan, dtype) if polygons.size == 0 else polygons.astype(dtype)
     is_finite = jnp.isfinite(polygons).all(axis=2, keepdims=True)
@@ -159,7 +157,7 @@ def _make(
     # 2. Move the origin to the middle of the map, around which floats are most precise.
     lo = jnp.where(is_finite, polygons, jnp.inf).min(axis=(0, 1))
     hi = jnp.where(is_finite, polygons, -jnp.inf).max(axis=(0, 1))
-    origin = lax.stop_gradient(jnp.where(is_finite.any(), (lo + hi) / 2, 0))
+    origin = jax.lax.stop_gradient(jnp.where(is_finite.any(), (lo + hi) / 2, 0))
     polygons = jnp.where(is_finite, polygons - origin[None, None], jnp.nan)
     corners = PolygonCorners.of_polygons(polygons, bounds.astype(dtype) - origin[None])
     if goals is None:

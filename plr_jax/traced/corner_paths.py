@@ -105,8 +105,7 @@ class CornerPaths:
         to_corners = length_if_seen(through, x[:, None], self.corners.points(x.dtype)[None])
         first = jnp.append(to_goals, to_corners, axis=1)
         onward = jnp.append(jnp.zeros(len(goals), x.dtype), self.distances.astype(x.dtype))
-        value = shortest(first, jnp.broadcast_to(onward, first.shape))
-        return jnp.where(is_free, value, jnp.inf)
+        return jnp.where(is_free, shortest(first, jnp.broadcast_to(onward, first.shape)), jnp.inf)
 
 
 @pytree

@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from functools import reduce
-from operator import or_
 from typing import Any
 
 import jax
@@ -23,7 +22,7 @@ def distance(field: Any, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*b
     It is NaN where a coordinate is NaN, and everywhere if the field has no answers.
     """
     ends = jnp.broadcast_arrays(*points)
-    is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in ends]) | field.has_no_answers
+    is_nan = reduce(jnp.logical_or, [jnp.isnan(x).any(axis=-1) for x in ends]) | field.has_no_answers
     value = field.paths.distance(*(replace_nonfinite(x).reshape(-1, 2) for x in ends))
     return jnp.where(is_nan, jnp.nan, value.reshape(is_nan.shape))
 

@@ -1,7 +1,6 @@
 """Distances on a grid that JAX may trace, along steps from each cell to its 4 or 8 neighbors."""
 
 from functools import reduce
-from operator import or_
 from typing import Any, Literal
 
 import jax
@@ -83,7 +82,7 @@ class Steps:
     @classmethod
     def to_goal(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
         cells, is_inside = containing_cells(free.shape, goal)
-        start = reduce(or_, (single_cell(free.shape, *cell) for cell in zip(*cells, strict=True)))
+        start = reduce(jnp.bitwise_or, (single_cell(free.shape, *cell) for cell in zip(*cells, strict=True)))
         return cls(distances(free, jnp.where(is_inside, start, jnp.uint32(0)), moves))
 
     def cells(self) -> Distances:
