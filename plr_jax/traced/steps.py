@@ -6,7 +6,6 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
@@ -162,7 +161,7 @@ def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[
 
     none = jnp.zeros_like(start)
     first = jnp.uint32(0), start, none, none, jnp.zeros((len(powers), *start.shape), jnp.uint32), jnp.array(True)
-    _, reached, ones_plane, twos_plane, planes, _ = lax.while_loop(lambda state: state[-1], four_levels, first)
+    _, reached, ones_plane, twos_plane, planes, _ = jax.lax.while_loop(lambda state: state[-1], four_levels, first)
     return reached, jnp.concatenate([ones_plane[None], twos_plane[None], planes])
 
 
@@ -213,5 +212,5 @@ def _octile_distances(free: Mask, start: Mask) -> Distances:
         return new, jnp.any(new != old)
 
     first: Int32[Array, "h_and_2 w_and_2"] = jnp.where(jnp.pad(start, 1), 0, _FAR).astype(jnp.int32)
-    units = at(lax.while_loop(lambda state: state[1], relaxed, (first, jnp.array(True)))[0], 0, 0)
+    units = at(jax.lax.while_loop(lambda state: state[1], relaxed, (first, jnp.array(True)))[0], 0, 0)
     return jnp.where(units < _FAR, units.astype(jnp.float32) / _STRAIGHT, jnp.inf)
