@@ -322,15 +322,13 @@ def _first_crossing(workspace: Workspace, track: Float[np.ndarray, "steps 2"], m
     # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
     points: Any = shapely.points(track)
-    contacts = workspace.boundary.contact_tree
     is_doubtful = ~shapely.covers(workspace.free_space, segments)
-    is_doubtful[contacts.query(segments, predicate="dwithin", distance=margin)[0]] = True
+    is_doubtful |= workspace.boundary.touches_contact(segments, margin)
     # 2. In each row, find which parts the point may be in: in a *loose* row, all within the margin; else the nearest.
     #    A point near a contact at an end of its path is on all sides. Between two doubtful motions, it may be inside
     #    a thin wall.
     is_loose = np.pad(is_doubtful[:-1] & is_doubtful[1:], 1)
-    at_contact = contacts.query(points[[0, -1]], predicate="dwithin", distance=margin)[0]
-    is_loose[-at_contact] = True  # index 0 of both points is row 0, index 1 is row -1
+    is_loose[[0, -1]] |= workspace.boundary.touches_contact(points[[0, -1]], margin)
     # 3. Follow the point from part to part.
     part_before = None
     for k in np.flatnonzero(is_doubtful).tolist():

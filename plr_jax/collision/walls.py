@@ -106,12 +106,10 @@ class MotionTest:
         The result is False for robots that are larger than a point, and if ``workspace.squeeze`` lets paths lead
         through contacts.
         """
-        is_at = np.zeros(q.shape[:-1], dtype=bool)
-        if self._is_point and not self.workspace.squeeze:
-            points: Any = shapely.points(q[..., :2].reshape(-1, 2))
-            tree, tolerance = self.workspace.boundary.contact_tree, self.workspace.tolerance
-            is_at.flat[tree.query(points, predicate="dwithin", distance=tolerance)[0]] = True
-        return is_at
+        if not self._is_point or self.workspace.squeeze:
+            return np.zeros(q.shape[:-1], dtype=bool)
+        points: Any = shapely.points(q[..., :2].reshape(-1, 2))
+        return self.workspace.boundary.touches_contact(points, self.workspace.tolerance).reshape(q.shape[:-1])
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
         """Return whether the robot is certainly free for all reference points in each circle, at any heading.

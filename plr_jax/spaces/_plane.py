@@ -218,11 +218,9 @@ class PlaneSpace(BodySpace):
 
         If the robot may pass between touching obstacles, or is a disc, the result is False.
         """
-        touch = np.zeros(len(shapes), dtype=bool)
-        if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
-            tree = self.workspace.boundary.contact_tree
-            touch[tree.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True
-        return touch
+        if self.robot.circumscribed_radius > 0 or self.workspace.squeeze:
+            return np.zeros(len(shapes), dtype=bool)
+        return self.workspace.boundary.touches_contact(shapes, self.workspace.tolerance)
 
     @cached_property
     def _passable(self) -> Any:
