@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
+from operator import add
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -28,7 +29,7 @@ class SumOverRobots:
         """Return estimated costs-to-go ``(n,)`` of joint configurations, in workspace units; they are never NaN."""
         terms = self.per_robot(q)
         # Robot by robot: NumPy's sum over a short last axis takes several times as long.
-        return reduce(np.add, terms.T, np.zeros(len(terms)))
+        return reduce(add, terms.T, np.zeros(len(terms)))
 
 
 def zero() -> SumOverRobots:
