@@ -18,6 +18,12 @@ from ._types import DistanceFn as DistanceFn
 from ._types import HeuristicFn as HeuristicFn
 from ._validate import ValidationReport as ValidationReport
 from ._validate import validate as validate
+from .buildings import Building as Building
+from .buildings import BuildingPLR as BuildingPLR
+from .buildings import Link as Link
+from .buildings import NumpyBuildingPLR as NumpyBuildingPLR
+from .buildings import Route as Route
+from .buildings import load_numpy as load_numpy
 from .eikonal import CostDistance as CostDistance
 from .eikonal import cost_distance as cost_distance
 from .eikonal import solve_eikonal as solve_eikonal
@@ -35,6 +41,7 @@ from .oracles import VisibilityGraph as VisibilityGraph
 from .oracles import VoxelGraph as VoxelGraph
 from .oracles import exact_lower_bound as exact_lower_bound
 from .oracles import robot_distance_fns as robot_distance_fns
+from .pairs import BuildingPairs as BuildingPairs
 from .pairs import GridPairs as GridPairs
 from .pairs import MetricPairs as MetricPairs
 from .pairs import PairPLR as PairPLR
@@ -71,7 +78,6 @@ from .plr import evaluate as evaluate
 from .plr import from_bytes as from_bytes
 from .plr import largest_error as largest_error
 from .plr import least_squares as least_squares
-from .plr import load_numpy as load_numpy
 from .plr import maximum_depth as maximum_depth
 from .plr import stack as stack
 from .plr import trace as trace

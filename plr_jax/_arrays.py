@@ -211,6 +211,15 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
+def as_offsets(value: ArrayLike | None, count: int) -> Float[np.ndarray, " goals"]:
+    """Check costs of using each of ``count`` goals, finite and at least 0; None stands for zeros."""
+    form = f"{count} finite numbers of at least 0, one per goal"
+    costs = as_numbers("offsets", np.zeros(count) if value is None else value, form)
+    if costs.shape != (count,) or not ((costs >= 0) & np.isfinite(costs)).all():
+        raise ValueError(f"offsets must be {form}, got {shortened(value)}.")
+    return costs
+
+
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
     """Return the number of rows to which ``n`` rows are padded, so that compiled functions see few shapes.
 

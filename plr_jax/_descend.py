@@ -12,11 +12,19 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import as_distances, as_finite_point, as_numbers, as_points, require_function, shortened
+from plr_jax._arrays import (
+    as_distances,
+    as_finite_point,
+    as_numbers,
+    as_offsets,
+    as_points,
+    require_function,
+    shortened,
+)
 from plr_jax._lookahead import Chains, Field, Next, PathCosts, by_lookahead, chains_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
-from plr_jax.geometry.graph import Graph, dijkstra, first_visible_in_parts
+from plr_jax.geometry.graph import Arcs, Graph, dijkstra, first_visible_in_parts, path_ends
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace, require_space
@@ -76,6 +84,7 @@ def descend(
     starts: ArrayLike,
     goal: ArrayLike,
     *,
+    offsets: ArrayLike | None = None,
     cost_map: CostMap | None = None,
 ) -> Descent:
     """Follow a cost-to-go, such as a PLR, from many starts to its goal.
@@ -95,9 +104,9 @@ def descend(
         space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in free space or on its boundary. If costs are lengths in a workspace, there may
-            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found. The
-            cost-to-go counts as 0 at each goal, so its errors, or costs of ending at a goal, do not change which goal
-            that is.
+            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found. Errors of
+            the cost-to-go at the goals do not change which goal that is.
+        offsets: Cost of ending at each goal, ``(k,)``, as for :class:`NearestGoal`; None: 0. Only for several goals.
         cost_map: Factor of the motion cost at each point: the map for which ``distance_fn`` was computed. None: the
             factor is 1 everywhere.
 
@@ -114,8 +123,10 @@ def descend(
     """
     require_function("distance_fn", distance_fn)
     if isinstance(space, Workspace) and cost_map is None:
-        chains = _along_corners(distance_fn, space, starts, goal)
+        chains = _along_corners(distance_fn, space, starts, goal, offsets)
     else:
+        if offsets is not None:
+            raise ValueError("offsets need several goals in a Workspace without a cost map: leave offsets out.")
         space = PlaneSpace(space) if isinstance(space, Workspace) else space
         require_space(space)
         if not isinstance(space, ConfigurationSpace):
@@ -134,11 +145,13 @@ def descend(
 _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in case of a small error
 
 
-def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
+def _along_corners(
+    field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike, offsets: ArrayLike | None
+) -> Chains:
     """Find paths in a workspace from corner to corner, along edges that the cost-to-go ``field_fn`` ranks best.
 
-    Return the vertices of the paths, their numbers of vertices (0: no path), lengths, costs (equal to lengths), and
-    whether each start is free.
+    Return the vertices of the paths, their numbers of vertices (0: no path), lengths, costs (lengths plus the offset
+    of the goal), and whether each start is free.
     """
     # 1. Check the arguments, and evaluate the field at all *places*: the goals, then the corners.
     starts = as_points("starts", workspace.settled(starts), 2)
@@ -155,13 +168,17 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     places = places.with_goal(*goals)
     points = places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
-    field[:num_goals] = 0.0  # at the goals, by definition
+    field[:num_goals] = offsets = as_offsets(offsets, num_goals)
+    end = Arcs(np.full(num_goals, len(points)), np.arange(num_goals), offsets)  # to the goals from a place after all
 
     def shortest(edges: Int[np.ndarray, "edges 2"]) -> tuple[Float[np.ndarray, "places"], Next]:
-        length, onward = dijkstra(Graph(points, edges), np.arange(num_goals))
-        onward[:num_goals] = np.arange(num_goals)  # a goal's next place is the goal
-        # Places without a path point to goal 0, so that indexing works; their length is inf, so no path uses them.
-        return length, np.maximum(onward, 0)
+        length, onward = dijkstra(
+            Graph(np.append(points, points[:1], axis=0), edges, arcs=end).adjacency, len(points)
+        )
+        # The next place of a goal is the goal, unless another goal costs less from there. Places without a path point
+        # to goal 0, so that indexing works; their length is inf, so no path uses them.
+        onward[:num_goals] = np.where(onward[:num_goals] == len(points), np.arange(num_goals), onward[:num_goals])
+        return length[:-1], np.maximum(onward[:-1], 0)
 
     # 2. Join each corner to its best places by the field. Join corners without a path to all places that they see.
     edges = _edges(workspace, places, field, np.arange(num_goals, len(points)), _NUM_WAYS)
@@ -183,13 +200,16 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
             break
         edges = joined
         length, onward = shortest(edges)
+    # A goal from which another one costs less is no end.
+    if not (is_end := onward[:num_goals] == np.arange(num_goals)).all():
+        return _along_corners(field_fn, workspace, starts, goals[is_end], offsets[is_end])
     # 4. Find the first place of each start: the nearest visible goal, else a visible place where a shortest path may
     #    turn, else any visible place (each has a cone without sides, with normals of 0). With several goals, places
     #    where a path may turn are compared also for starts that see a goal: a path to another goal may be shorter.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
     goal_ways = first_visible_in_parts(
-        lambda rows: distances_between(x[rows], goals),
+        lambda rows: distances_between(x[rows], goals) + offsets,
         len(x),
         num_goals,
         lambda point, goal: workspace.is_visible(x[point], goals[goal]),
@@ -211,7 +231,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     # 5. Follow the next places.
     vertices, counts = chains_of(starts, points, onward, first, num_goals)
     lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
-    return vertices, counts, lengths, lengths, is_free
+    return vertices, counts, lengths, lengths + offsets[path_ends(onward)[np.maximum(first, 0)]], is_free
 
 
 def _edges(

@@ -5,26 +5,29 @@ from typing import Any
 
 from plr_jax._arrays import shortened
 from plr_jax._files import file_path, write_atomically
+from plr_jax.buildings.building_plr import BuildingPLR
+from plr_jax.buildings.floors import Floors
+from plr_jax.pairs.building_pairs import BuildingPairs
 from plr_jax.pairs.grid_pairs import GridPairs
 from plr_jax.pairs.pair_plr import PairPLR, pairs_from_bytes
 from plr_jax.plr._plr import PLR, from_bytes
-from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
+from plr_jax.plr.container import BUILDING_MAGIC, GRID_MAGIC, holds_pairs, read_bytes
 
 
-def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
-    """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, completely or not at all.
+def save(plr: PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs, path: str | os.PathLike) -> None:
+    """Write a PLR, a BuildingPLR, a PairPLR or GridPairs to a file, completely or not at all.
 
-    To save a ``MetricPairs``, pass its attribute ``plr``. The files ``plr/portable/FORMAT.md`` and
-    ``pairs/FORMAT.md`` document the formats. ``ValueError`` is raised for an object of another type and for an
-    invalid ``path``, ``OSError`` if the file cannot be written.
+    The file has ``plr.num_bytes`` bytes. To save a ``MetricPairs``, pass its attribute ``plr``. The files
+    ``plr/portable/FORMAT.md`` and ``pairs/FORMAT.md`` document the formats. ``ValueError`` is raised for an object of
+    another type and for an invalid ``path``, ``OSError`` if the file cannot be written.
     """
-    if not isinstance(plr, PLR | PairPLR | GridPairs):
-        raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
+    if not isinstance(plr, PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs):
+        raise ValueError(f"Only a PLR, a BuildingPLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
     write_atomically(file_path(path), plr.to_bytes())
 
 
 def load(path: str | os.PathLike) -> Any:
-    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
+    """Read a PLR, a BuildingPLR, a PairPLR or GridPairs that :func:`save` wrote.
 
     The loaded object gives the same answers as the saved object, bit for bit.
 
@@ -35,6 +38,11 @@ def load(path: str | os.PathLike) -> Any:
     path = file_path(path)
     try:
         data = read_bytes(path)
+        if data.startswith(BUILDING_MAGIC):
+            floors, rest = Floors.read(data)
+            if holds_pairs(rest):
+                return BuildingPairs(floors, pairs_from_bytes(rest))
+            return BuildingPLR(floors, from_bytes(rest))
         if data.startswith(GRID_MAGIC):
             return GridPairs.from_bytes(data)
         return pairs_from_bytes(data) if holds_pairs(data) else from_bytes(data)

@@ -81,24 +81,18 @@ class Sources:
     """The *sources* of a distance function: goals, and the points where shortest paths to the nearest goal may turn.
 
     The first segment of any shortest path ends at a source. Sources that reach a goal and are their own parents are
-    called *roots*. The constructor checks two conditions:
-
-    - Every root has the distance 0, so it is a goal. No path to a goal is better continued to another goal, and
-      sources at one place have equal distances, so that files may merge them.
-    - If goals are named, they are the first sources and the only roots. Files store names in the order of the roots.
+    called *roots*: goals, and places such as a flight of stairs, whose path continues elsewhere. Sources at one place
+    must have equal distances, so that files may merge them.
     """
 
     points: Float[np.ndarray, "sources dim"]
     distances: Float[np.ndarray, " sources"]  # to the nearest goal; inf if no goal can be reached
-    parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a goal and if unreachable
-    # Index in `points` of each goal; equal goals share the first index. None: the only goal is point 0.
-    goals: Int[np.ndarray, "goals"] | None = None
-
-    def __post_init__(self) -> None:
-        roots = np.flatnonzero((self.parents == np.arange(len(self.parents))) & np.isfinite(self.distances))
-        named = roots if self.goals is None else np.arange(len(self.goals))
-        if not np.array_equal(roots, named) or self.distances[roots].any():
-            raise ValueError(f"Sources that are their own parents must be goals, named ones first, got {roots}.")
+    parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a root and if unreachable
+    # A number for each root, such as the index of its goal; other entries have no meaning. None: the only goal.
+    roots: Int[np.ndarray, " sources"] | None = None
+    exits: Int[np.ndarray, " sources"] | None = (
+        None  # source where a root's path continues; itself for others and goals
+    )
 
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports

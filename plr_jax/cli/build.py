@@ -35,6 +35,7 @@ def _reading_option(help: str, default: str) -> Any:
     "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
     "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --drop-specks 4 --radius 0.3",
     "plr-jax build area.wkt --goal 1,2 --goal 30,4 --leaf cone",
+    "plr-jax build building.json --goal 0,1.5,2 --leaf cone",
 )
 def build(
     map: Annotated[
@@ -43,7 +44,7 @@ def build(
             metavar="MAP",
             help=f"A scene ({', '.join(SCENES)}) or a file that plr_jax.scenes.read_workspace reads, such as a "
             'picture (.png), a map of map_server (.yaml; costs are ignored), or GeoJSON (bounded by its "bbox", or '
-            "else by its polygons).",
+            "else by its polygons). Or a building, as plr_jax.scenes.save_building writes it.",
             autocompletion=lambda: list(SCENES),
         ),
     ],
@@ -53,7 +54,7 @@ def build(
             "--goal",
             "-g",
             metavar="X,Y",
-            help="The goal; given several times, the nearest of several goals, such as exits.",
+            help="The goal, in a building FLOOR,X,Y; given several times, the nearest of several, such as exits.",
             show_default="the goal of a scene of one robot",
         ),
     ] = None,
@@ -121,14 +122,22 @@ def build(
     # 1. Read the map, and prepare its exact oracle.
     options = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks, "polygons": polygons}
     given = {key: value for key, value in {**options, "radius": radius}.items() if value is not None}
-    workspace, goals = NamedMap(map, parse_goals(goal) if goal else None, given).read()
-    if goals is None:
-        raise ValueError(f"expected a goal, but {map} has none, or one for each of several robots: give --goal X,Y.")
-    label = NamedMap(map, goals, given).label
+    of_building = None
+    if map not in SCENES and plr_jax.scenes.is_building(map):
+        if given:
+            raise ValueError(f"{map} is a building, which is read without options, got {', '.join(given)}.")
+        places = [(int(floor), (x, y)) for floor, x, y in parse_goals(goal or [], "FLOOR,X,Y")]
+        of_building = plr_jax.scenes.read_building(map).oracle(places)
+        workspace, oracle, label = of_building.building.plane, of_building.paths, map
+    else:
+        workspace, goals = NamedMap(map, parse_goals(goal) if goal else None, given).read()
+        if goals is None:
+            reason = f"{map} has none, or one for each of several robots"
+            raise ValueError(f"expected a goal, but {reason}: give --goal X,Y.")
+        oracle, label = oracle_of(workspace, goals), NamedMap(map, goals, given).label
     if (length := len(label.encode())) > MOST_LABEL_BYTES:
-        stored = f"MAP, its options and its {len(goals)} goals"
+        stored = "MAP, its options and its goals"
         raise ValueError(f"The file has {MOST_LABEL_BYTES:,} bytes for {stored}, got {length:,}: give fewer goals.")
-    oracle = oracle_of(workspace, goals)
     width, height = workspace.bounds.width
     typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {width:g} x {height:g}")
 
@@ -144,14 +153,16 @@ def build(
         needed = error.num_bytes + label_bytes
         raise ValueError(f"--max-bytes {max_bytes} is too small: allow at least {needed}.") from error
     seconds = time.perf_counter() - began
-    plr_jax.save(plr := plr.with_label(label), output)
+    plr = plr.with_label(label)
+    content = plr if of_building is None else plr_jax.BuildingPLR(of_building.floors, plr)
+    plr_jax.save(content, output)
     if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
         fail_interrupted(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.")
     for warning in caught:
         warn(str(warning.message))
 
     # 3. Report the proven error, and the error at points of another seed than the samples to which leaves are fitted.
-    typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
+    typer.echo(f"wrote   {output}: {content.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
     report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
     proven = plr.max_error
     assert proven is not None

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
+from jaxtyping import Float
 
 from plr_jax.cli.app import command, printable
 from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file, read_points
@@ -33,14 +34,20 @@ def query(
         str,
         typer.Argument(
             metavar="[POINTS.csv | -]",
-            help="Points, x,y in each line; for pairs both ends, x,y,x,y; - reads standard input.",
+            help="Points, x,y in each line, in a building floor,x,y; for pairs both ends, x,y,x,y; - reads standard "
+            "input.",
         ),
     ] = "-",
     bounds: Annotated[
         bool, typer.Option("--bounds", help="Print distance,lower,upper: the distance and its proven bounds.")
     ] = False,
     which: Annotated[
-        bool, typer.Option("--which", help="Add the index of the nearest of several goals: 0, 1, ...; -1 outside.")
+        bool,
+        typer.Option(
+            "--which",
+            help="Add the index of the nearest of several goals: 0, 1, ...; -1 outside. In a "
+            "building, the next link: 0, 1, ...; -1 to the goal, -2 outside.",
+        ),
     ] = False,
 ) -> None:
     """Print the distance of each point, one per line: inf outside the domain, nan for a row that is not a point.
@@ -49,12 +56,15 @@ def query(
     header. Tables may have any length.
     """
     from plr_jax._files import errors_named
-    from plr_jax.plr import load_numpy
-    from plr_jax.plr.container import holds_pairs, read_bytes
+    from plr_jax.buildings import load_numpy
+    from plr_jax.buildings.floors import Floors
+    from plr_jax.plr.container import BUILDING_MAGIC, holds_pairs, read_bytes
 
     # 1. Read the file, a PLR without importing JAX.
     with errors_named(file):
-        is_pairs = holds_pairs(read_bytes(file))
+        data = read_bytes(file)
+        is_building = data.startswith(BUILDING_MAGIC)
+        is_pairs = holds_pairs(Floors.read(data)[1] if is_building else data)
     if is_pairs and which:
         raise ValueError(f"--which needs a file of a PLR, got pairs in {file}: leave it out.")
     if is_pairs:
@@ -69,13 +79,23 @@ def query(
     if not sys.stdin and reads_stdin:
         raise ValueError("Standard input is closed: name a file of points.")
     with sys.stdin.buffer if reads_stdin else open(points, "rb") as table:
-        for x in read_points(table, "stdin" if reads_stdin else points, 4 if is_pairs else reader.dim):
-            ends = np.split(x, 2, axis=1) if is_pairs else [x]
+        dim = 3 if is_building else 2 if is_pairs else reader.dim
+        for x in read_points(table, "stdin" if reads_stdin else points, dim * (1 + is_pairs)):
+            ends: Any = np.split(x, 1 + is_pairs, axis=1)
+            if is_building:
+                ends = [_place_of(rows, len(reader.floors.lo)) for rows in ends]
+                ends = ends if is_pairs else ends[0]
             columns = [reader(*ends)]
             columns += reader.bounds(*ends) if bounds else ()
-            columns += [reader.which(x)] if which else ()
+            columns += [reader.which(*ends)] if which else ()
             line = ",".join(["%.9g"] * len(columns)) + "\n"
             typer.echo(line * len(x) % tuple(np.column_stack(columns).ravel().tolist()), nl=False)
+
+
+def _place_of(rows: Float[np.ndarray, "n 3"], num_floors: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the floors and points of rows ``floor, x, y``; points of unknown floors are NaN."""
+    is_known = np.isin(rows[:, :1], np.arange(num_floors))
+    return np.where(is_known, rows[:, :1], 0)[:, 0].astype(int), np.where(is_known, rows[:, 1:], np.nan)
 
 
 @command("plr-jax info maze.plr", "plr-jax info maze.plr --json")
@@ -88,14 +108,15 @@ def info(
     from plr_jax.plr import PLR
 
     content = load(file)
-    domain = content.domain
+    plane = getattr(content, "plane", content)  # of a building, what its file holds of all floors
+    domain = plane.domain
     facts: dict[str, Any] = {"file": str(file), "holds": type(content).__name__}
     facts |= {"lo": format_numbers(domain.lo), "hi": format_numbers(domain.hi)}
     facts["periodic_axes"] = [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic]
     names = ["label", "num_bytes", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
-    facts |= {name: getattr(content, name) for name in names if hasattr(content, name)}
-    if isinstance(content, PLR):  # building the tables of pairs may take long
-        facts |= {"leaf": content.leaf.name, "resident_bytes": content.resident_bytes}
+    facts |= {name: getattr(plane, name) for name in names if hasattr(plane, name)} | {"num_bytes": content.num_bytes}
+    if isinstance(plane, PLR):  # building the tables of pairs may take long
+        facts |= {"leaf": plane.leaf.name, "resident_bytes": plane.resident_bytes}
     lines = [f"{name:16}{printable(str(value))}" for name, value in facts.items()]
     typer.echo(dumps(facts, indent=2) if json else "\n".join(lines))
 
@@ -130,6 +151,7 @@ def plot(
     # 1. Read the distance, and check that it can be drawn.
     check_output(output, PICTURES, inputs=(file, map))
     content = load(file)
+    content = getattr(content, "plane", content)  # of a building, all floors side by side
     plr = _distance_of(content, file, goal)
     if plr.domain.dim != 2:
         raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plot_contours with at=.")
@@ -158,9 +180,10 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
     texts ``X,Y`` of the option ``--goal``. ``ValueError`` is raised if a goal is given for a PLR, or not exactly one
     goal for pairs.
     """
+    from plr_jax.buildings import BuildingPLR
     from plr_jax.plr import PLR
 
-    if isinstance(content, PLR):
+    if isinstance(content, PLR | BuildingPLR):
         if goal:
             raise ValueError(f"{file} is a PLR with a fixed goal: leave out --goal.")
         return content
@@ -242,8 +265,9 @@ def view(
     output = output or Path(f"{file.stem}.html")
     check_output(output, (".html",), inputs=(file, map))
     content = load(file)
-    needs_map = map is not None or isinstance(content, PLR)
-    workspace = read_map_of_file(file, content, map)[0] if needs_map else None
+    plane = getattr(content, "plane", content)
+    needs_map = map is not None or isinstance(plane, PLR)
+    workspace = read_map_of_file(file, plane, map)[0] if needs_map else None
     written = page(content, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")

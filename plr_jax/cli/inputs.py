@@ -27,14 +27,17 @@ _MOST_OF_ROW = 80  # most characters of a bad row in a warning
 _TABLE_HEADER = re.compile(r"""([\s"'#]*[^\W\d][^,]*(,|$))+""")  # each field begins with a letter or _
 
 
-def parse_goals(texts: Sequence[str]) -> Float[np.ndarray, "goals 2"]:
-    """Convert texts such as ``3,28`` to goals, ``(goals, 2)``; other texts raise ``ValueError``."""
+def parse_goals(texts: Sequence[str], form: str = "X,Y") -> Float[np.ndarray, "goals dim"]:
+    """Convert texts such as ``3,28``, numbers as in ``form``, to goals, ``(goals, dim)``; else ``ValueError``."""
     try:
         goals = np.array([text.split(",") for text in texts], float)
     except ValueError:
         goals = np.empty(0)
-    if goals.shape != (len(texts), 2) or not np.isfinite(goals).all():
-        raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {' and '.join(texts)}.")
+    if goals.shape != (len(texts), dim := form.count(",") + 1) or not np.isfinite(goals).all():
+        got = " and ".join(texts) or "none"
+        raise ValueError(
+            f"--goal must be {dim} numbers {form} in one argument, such as {'1,' * (dim - 2)}3,28, got {got}."
+        )
     return goals
 
 
@@ -94,6 +97,8 @@ class NamedMap:
             workspace = problem.workspace
         elif not Path(self.name).suffix:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a file of a map, got {self.name!r}.")
+        elif scenes.is_building(self.name):
+            workspace, problem = scenes.read_building(self.name).plane, None
         else:
             workspace = scenes.read_workspace(self.name, **reading)
             problem = scenes.load(self.name) if scenes.is_scene(self.name) else None

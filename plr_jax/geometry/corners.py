@@ -1,6 +1,6 @@
 """The corners at which shortest paths turn, what each corner sees, and where paths to one goal turn first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeAlias
 
@@ -9,10 +9,17 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.graph import FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
+from plr_jax.geometry.graph import NO_ARCS, Arcs, FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, visibility_of
+from plr_jax.geometry.visibility import (
+    Viewpoints,
+    VisibilityTable,
+    joined_tables,
+    triangles_within,
+    viewpoints_at,
+    visibility_of,
+)
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
@@ -75,16 +82,30 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph."""
+    """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph.
+
+    The last corners may be *places*: points of free space at which paths may turn in any direction, such as the ends
+    of stairs. Arcs join places whatever lies between them.
+    """
 
     corners: ReflexCorners
     views: Viewpoints  # at the corners
     table: VisibilityTable
     edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
+    num_places: int = 0
+    arcs: Arcs = NO_ARCS  # between corners
+    # The index of which arc, among those given to :func:`with_places`, each arc is a copy.
+    copied: Int[np.ndarray, " arcs"] = field(default_factory=lambda: np.zeros(0, int))
+
+    @property
+    def places(self) -> Int[np.ndarray, " places"]:
+        """The indices of the places among the corners."""
+        return np.arange(len(self.corners.points))[len(self.corners.points) - self.num_places :]
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
-        return corner_of_vertex(self.table.boundary, self.views)
+        """The corner at each vertex of the boundary, -1 for none; places do not count."""
+        return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
@@ -93,6 +114,47 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     is_other = (seen >= 0) & (seen != view)
     return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[is_other], seen[is_other]))
+
+
+def with_places(
+    visibility: CornerVisibility, triangulation: Triangulation, places: Float[np.ndarray, "places 2"], arcs: Arcs
+) -> CornerVisibility:
+    """Return the corners with ``places``, distinct points of free space, after the last corner.
+
+    ``arcs`` join places, by their indices in ``places``. A place where obstacles touch has a copy, with copies of its
+    arcs, for each sector of free space around it. So no path passes between the obstacles.
+    """
+    # 1. Split places, and copy arcs: from each copy of the start to each copy of the end.
+    corners, count = visibility.corners, len(visibility.corners.points)
+    views, of = viewpoints_at(triangulation, places).split()
+    first = np.searchsorted(of, np.arange(len(places) + 1))
+    start, arc = take_ragged(first, arcs.start)
+    end, row = take_ragged(first, arcs.end[arc])
+    places, copies = places[of], Arcs(count + start[row], count + end, arcs.length[arc[row]])
+    # 2. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
+    table, (place, vertex) = visibility_of(triangulation, views)
+    pairs = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
+    place, corner = pairs[:, pairs[1] >= 0]
+    at = views.points[place]
+    joined = visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
+    joined &= views.joins(place, visibility.views, corner)
+    # 3. Join places that see each other.
+    a, b = np.triu_indices(len(places), 1)
+    sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a]) & (of[a] != of[b])
+    pairs = np.stack([corner[joined], count + place[joined]], axis=1), count + np.stack([a[sees], b[sees]], axis=1)
+    return CornerVisibility(
+        ReflexCorners(
+            np.concatenate([corners.points, places]),
+            np.concatenate([corners.walls, np.zeros((2, len(places), 2))], axis=1),
+            corners.slack,
+        ),
+        visibility.views.append(views),
+        joined_tables([visibility.table, table]),
+        np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),
+        len(places),
+        copies,
+        arc[row],
+    )
 
 
 def mutually_visible_pairs(

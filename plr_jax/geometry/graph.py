@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
-from plr_jax._arrays import path_from_root
+from plr_jax._arrays import index_of, path_from_root
 from plr_jax._types import Points
 
 if TYPE_CHECKING:
@@ -25,13 +25,25 @@ FirstVisible: TypeAlias = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
 VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]  # several for each point
 
 
+class Arcs(NamedTuple):
+    """One-way edges of a graph, with lengths of their own, at least 0. Several arcs may join the same vertices."""
+
+    start: Int[np.ndarray, " a"]
+    end: Int[np.ndarray, " a"]
+    length: Float[np.ndarray, " a"]
+
+
+NO_ARCS = Arcs(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+
+
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph with points as vertices, and edges that have lengths."""
+    """A graph with points as vertices, undirected edges that have lengths, and arcs."""
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
     measure: Callable[[Points, Points], Float[np.ndarray, " e"]] | None = None  # lengths of edges; None: Euclidean
+    arcs: Arcs = NO_ARCS
 
     @cached_property
     def lengths(self) -> Float[np.ndarray, " e"]:
@@ -40,10 +52,20 @@ class Graph:
 
     @property
     def adjacency(self) -> csr_array:
-        """The graph as a symmetric sparse matrix of edge lengths; a stored entry 0 is an edge of length 0."""
+        """The lengths of edges and arcs from rows to columns as a sparse matrix; a stored entry 0 is a length."""
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
-        ends = np.concatenate([self.edges, self.edges[:, ::-1]])
-        return coo_array((np.tile(self.lengths, 2), tuple(ends.T)), shape=(len(self.vertices),) * 2).tocsr()
+        ends, lengths = np.concatenate([self.edges, self.edges[:, ::-1]]), np.tile(self.lengths, 2)
+        if len(self.arcs.start):  # of arcs and edges between two vertices, keep the shortest: a matrix would add them
+            size, arcs = len(self.vertices), self.arcs
+            key, at_edge = arcs.start * size + arcs.end, ends @ [size, 1]
+            order = np.lexsort((arcs.length, key))
+            arc = order[np.append(True, key[order[1:]] != key[order[:-1]])]
+            place = index_of(key[arc], at_edge)
+            lengths = np.minimum(lengths, np.where(place < 0, np.inf, arcs.length[arc[place]]))
+            arc = np.delete(arc, place[place >= 0])
+            ends = np.concatenate([ends, np.stack([arcs.start[arc], arcs.end[arc]], axis=1)])
+            lengths = np.append(lengths, arcs.length[arc])
+        return coo_array((lengths, tuple(ends.T)), shape=(len(self.vertices),) * 2).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
         """Return the graph as a NetworkX graph.
@@ -59,14 +81,15 @@ class Graph:
 
 
 def dijkstra(
-    graph: Graph, source: int | Int[np.ndarray, " sources"]
+    adjacency: csr_array, source: int | Int[np.ndarray, " sources"]
 ) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " v"]]:
     """Return the distance of each vertex from the nearest source vertex, and its predecessor on the shortest path.
 
-    Without a path the distance is ``inf``. The predecessor of a source, and of a vertex without a path, is negative.
+    ``adjacency`` is that of a :class:`Graph`. Without a path the distance is ``inf``. The predecessor of a source,
+    and of a vertex without a path, is negative.
     """
     several = np.ndim(source) > 0
-    return sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
+    return sparse_graphs.dijkstra(adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
 
 
 def connected_groups(num_vertices: int, edges: Int[np.ndarray, "2 _"]) -> Int[np.ndarray, " v"]:

@@ -2,6 +2,7 @@
 
 - `plr_jax.guides.distance_function`: store the distance to a goal in kilobytes.
 - `plr_jax.guides.any_two_points`: distances between any two points, and to many goals.
+- `plr_jax.guides.buildings`: floors, stairs, lifts, one-way links.
 - `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are drawn inside `jit`.
 - `plr_jax.guides.changing_map`: obstacles that come and go.
 - `plr_jax.guides.costs_and_volumes`: cost maps, voxels, bodies, arms; no oracle needed.
@@ -27,6 +28,8 @@ classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`,
 | `plr_jax.PLRStack` | `stack(index, x)` | distance to the goal of PLR number `index` |
 | `plr_jax.PairPLR`, `plr_jax.MetricPairs` | `pairs(x, y)` | distance between two points |
 | `plr_jax.GridPairs` | `pairs(x, y)` | length of a shortest grid path between the cells of two points |
+| `plr_jax.BuildingPLR`, `plr_jax.NumpyBuildingPLR` | `plr(floor, x)` | distance to the nearest goal of a building |
+| `plr_jax.BuildingPairs` | `pairs((floor, x), (floor, y))` | distance between two places of a building |
 | `plr_jax.GridDistance` | `field(x)` | distance to the goal |
 | `plr_jax.GridDistances` | `field(x, y)` | distance between two points |
 | `plr_jax.PolygonDistance` | `field(x)` | distance to the nearest goal |

@@ -1,4 +1,5 @@
 from . import any_two_points as any_two_points
+from . import buildings as buildings
 from . import c_and_javascript as c_and_javascript
 from . import changing_map as changing_map
 from . import command_line as command_line

@@ -266,7 +266,7 @@ class Roadmap:
         return oracle
 
     def _search(self, graph: Graph, tree: KDTree) -> None:
-        distances, parents = dijkstra(graph, 0)
+        distances, parents = dijkstra(graph.adjacency, 0)
         graph.vertices.flags.writeable = distances.flags.writeable = False
         _arrays.set_fields(self, graph=graph, distances=distances, _parents=parents, _tree=tree)
 

@@ -2,28 +2,43 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Float
 
-from plr_jax._arrays import as_point, as_points, as_queries, as_values, is_traced, set_fields, shortened
+from plr_jax._arrays import (
+    PickledWithoutCaches,
+    as_offsets,
+    as_point,
+    as_points,
+    as_queries,
+    as_values,
+    is_traced,
+    set_fields,
+    shortened,
+)
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike, CellSources, DimensionedFn, DistanceFn, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
+from plr_jax.oracles._visibility_graph import NearestPaths, VisibilityGraph
 
 _SHRINKAGE = 4  # robots are shrunk by this many times the workspace's tolerance
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class NearestGoal:
+class NearestGoal(PickledWithoutCaches):
     """Distance to the nearest of several goals, such as docks or exits, and the index of that goal.
 
-    Pass one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. To share
+        first = plr_jax.VisibilityGraph(workspace, exits[0])
+        nearest = plr_jax.NearestGoal([first, *map(first.with_goal, exits[1:])], offsets=[0, 12.5])  # a queue: 12.5
+
+    Pass one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. ``offsets``
+    are the costs of using each goal, in units of distance, finite and at least 0 (else ``ValueError``): the distance
+    to a goal is its function plus its offset. To share
     preprocessing, use ``[first, *map(first.with_goal, others)]``, where ``first`` is a ``VisibilityGraph``, a
     ``Roadmap`` or a ``GridGraph``. ``construct`` and planners accept a NearestGoal as a distance function. If all
     functions are ``VisibilityGraph``s of one workspace, a PLR built from the NearestGoal may have cone leaves, can be
@@ -36,10 +51,11 @@ class NearestGoal:
     """
 
     distance_fns: tuple[DistanceFn, ...]
+    offsets: Float[np.ndarray, " goals"]
     dim: int
     _graphs: tuple[VisibilityGraph, ...] = field(repr=False)  # the functions, if all are of one workspace
 
-    def __init__(self, distance_fns: Sequence[DimensionedFn]):
+    def __init__(self, distance_fns: Sequence[DimensionedFn], offsets: ArrayLike | None = None):
         fns = tuple(distance_fns) if isinstance(distance_fns, list | tuple) else ()
         if not fns or not all(isinstance(fn, DimensionedFn) for fn in fns) or len({fn.dim for fn in fns}) > 1:
             raise ValueError(
@@ -48,17 +64,27 @@ class NearestGoal:
             )
         graphs = tuple(fn for fn in fns if isinstance(fn, VisibilityGraph))
         share_map = len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1
-        set_fields(self, distance_fns=fns, dim=fns[0].dim, _graphs=graphs if share_map else ())
+        set_fields(
+            self,
+            distance_fns=fns,
+            offsets=as_offsets(offsets, len(fns)),
+            dim=fns[0].dim,
+            _graphs=graphs if share_map else (),
+        )
+
+    @cached_property
+    def _paths(self) -> NearestPaths:
+        first, goals = self._graphs[0], np.stack([graph.goal for graph in self._graphs])
+        return NearestPaths.of(first.workspace, first.family, goals, self.offsets)
 
     @property
     def cell_sources(self) -> Callable[[Box], CellSources] | None:
         """A function like ``VisibilityGraph.cell_sources``; None unless all are VisibilityGraphs of one workspace."""
-        return partial(nearest_cell_sources, self._graphs) if self._graphs else None
+        return self._paths.cell_sources if self._graphs else None
 
     def reach(self, domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points without a path; None if there are none or it is unknown."""
-        goals = [graph.goal for graph in self._graphs]
-        return self._graphs[0].workspace.reach(np.stack(goals), domain) if goals else None
+        return self._paths.reach(domain) if self._graphs else None
 
     @property
     def is_lower_bound(self) -> bool:
@@ -96,11 +122,13 @@ class NearestGoal:
 
     def _distances(self, x: ArrayLike) -> Any:
         if is_traced(x):
-            answers = x.__array_namespace__().stack([fn(x) for fn in self.distance_fns])
+            shifted = [fn(x) + offset for fn, offset in zip(self.distance_fns, self.offsets, strict=True)]
+            answers = x.__array_namespace__().stack(shifted)
             return answers.__array_namespace__().nan_to_num(answers, nan=np.inf, posinf=np.inf)
         num = len(as_points("x", x, self.dim))
         x = as_queries(x)  # functions must know which points come as 32-bit floats
         values = np.array([as_values(f"Distance function {i}", fn(x), num) for i, fn in enumerate(self.distance_fns)])
+        values += self.offsets[:, None]
         return np.where(np.isnan(values), np.inf, values)  # PLRs answer NaN at points with a NaN
 
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import shapely
@@ -16,11 +16,11 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array
 
 from plr_jax._arrays import PickledWithoutCaches, as_finite_point, as_numbers, as_point, as_points, set_fields
-from plr_jax._types import ArrayLike, Distances, Reach, Sources
+from plr_jax._types import ArrayLike, Distances, Points, Reach, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
-from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility
+from plr_jax.geometry.changes import Change, changed_triangulation, changed_visibility
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -29,11 +29,21 @@ from plr_jax.geometry.corners import (
     find_turn_points,
     views_by_triangle,
 )
-from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
+from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
+from plr_jax.geometry.visibility import (
+    Viewpoints,
+    VisibilityTable,
+    joined_tables,
+    triangles_within,
+    viewpoints_at,
+    visibility_of,
+)
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
+
+Pairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a goal and a corner, as indices
+GoalsInSight: TypeAlias = tuple[VisibilityTable, Pairs]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -73,28 +83,21 @@ class VisibilityGraph(PickledWithoutCaches):
         goal: ArrayLike,
         *,
         shared: PairDistances | None = None,
-        goal_view: GoalView | None = None,
+        goal_view: GoalsInSight | None = None,
     ):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
-        # 1. Find what the corners see, and what the goal sees: a visibility table, and the indices of the vertices in
-        #    sight as corners, -1 for vertices that are not corners.
+        # 1. Find what the corners see, and what the goal sees.
         if shared is None:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
-        if goal_view is None:
-            view = viewpoints_at(workspace.triangulation, goal[None])
-            goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
-            goal_view = goal_table, corners.of_vertex[seen]
+        goal_table, (_, corner) = goal_view or goals_in_sight(workspace, corners, goal[None])
         # 2. Join the goal, vertex 0, to the corners that it sees and that see it.
-        goal_table, seen_corners = goal_view
-        corner, place = np.setdiff1d(seen_corners, [-1]), goal_table.points[0]
-        corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
         set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_table, _goal_edges=edges)
         # 3. Find shortest paths from all corners to the goal, and from where paths can go to each corner first.
-        distances, parents = dijkstra(self.graph, 0)
-        turns = find_turn_points(corners.corners.with_goal(place), distances, parents)
+        distances, parents = dijkstra(self.graph.adjacency, 0)
+        turns = find_turn_points(corners.corners.with_goal(goal_table.points[0]), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
@@ -123,7 +126,8 @@ class VisibilityGraph(PickledWithoutCaches):
             workspace.use_triangulation(triangulation)
         view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
-        corners, goal_view = changed_visibility(self.family, old_view, view, workspace, change)
+        corners, (goal_table, seen) = changed_visibility(self.family, old_view, view, workspace, change)
+        goal_view = goal_table, _mutual_pairs(corners, goal_table, np.zeros(len(seen), int), seen)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def __repr__(self) -> str:
@@ -142,7 +146,9 @@ class VisibilityGraph(PickledWithoutCaches):
     @cached_property
     def regions(self) -> TurnRegions:
         """The corners at which paths to the goal may turn first, listed for each triangle of free space."""
-        return _turn_regions(self, self._turns, 1)
+        triangulation, views = self.workspace.triangulation, self.family.views[self._turns.vertex - 1]
+        visits = triangles_within(triangulation, views, *self._turns.bounds)
+        return TurnRegions(self._turns, triangulation, *views_by_triangle(triangulation, visits))
 
     @cached_property
     def _goal_sight(self) -> PointSight:
@@ -151,7 +157,7 @@ class VisibilityGraph(PickledWithoutCaches):
     @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, numbered as in ``graph``: a shortest path first goes straight to one of them."""
-        return _sources(self.graph, self.distances, self._parents)
+        return _sources(self.graph.vertices, self.distances, self._parents)
 
     @cached_property
     def sight(self) -> Sight:
@@ -361,41 +367,126 @@ class VisibilityGraph(PickledWithoutCaches):
         return distance, turn
 
 
-def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
-    """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first.
+def goals_in_sight(
+    workspace: Workspace, corners: CornerVisibility, goals: Float[np.ndarray, "goals 2"]
+) -> GoalsInSight:
+    """Return what goals, distinct points of free space, see, and the pairs of a goal and a corner in mutual sight."""
+    return _views_in_sight(workspace, corners, viewpoints_at(workspace.triangulation, goals))
 
-    Paths are the shortest paths to the nearest goal. Sources are the goals of ``graphs``, which are oracles of one
-    workspace, then the corners.
+
+def _views_in_sight(workspace: Workspace, corners: CornerVisibility, views: Viewpoints) -> GoalsInSight:
+    table, (goal, vertex) = visibility_of(workspace.triangulation, views)
+    return table, _mutual_pairs(corners, table, goal, corners.of_vertex[vertex])
+
+
+def _mutual_pairs(corners: CornerVisibility, table: VisibilityTable, goal: Indices, corner: Indices) -> Pairs:
+    """Return the pairs of a goal and a corner that see each other; ``goal[i]`` sees ``corner[i]`` (-1: no corner)."""
+    # Places are no vertices, which expansion finds.
+    owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), corners.places))
+    sees = table.sees(owner, corners.table.points[place])
+    pairs = np.stack([np.append(goal, owner[sees]), np.append(corner, place[sees])])
+    goal, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
+    return np.stack([goal, corner])[:, corners.table.sees(corner, table.points[goal])]
+
+
+@dataclass(frozen=True, eq=False)
+class NearestPaths:
+    """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
+
+    Paths may also take the arcs of ``CornerVisibility``. The *sources* are the goals, without copies, then the
+    corners. A source is a root if the path from it starts by using a goal or an arc. Root number ``i`` uses goal
+    ``i``, and root number ``g + i`` takes arc ``i``, where ``g`` is the number of goals.
     """
-    # 1. Let all oracles share corners. Oracles that were not made from one another may number them differently.
-    first, count = graphs[0], len(graphs)
-    graphs = [oracle if oracle.family is first.family else first.with_goal(oracle.goal) for oracle in graphs]
-    corners, tables = first.family, [oracle._goal_table for oracle in graphs]
-    # 2. Join the graphs: goal i is vertex i, corner j is vertex count + j. In `_goal_edges`, rows are (0, 1 + j).
-    edges = [np.array([i, count - 1]) + oracle._goal_edges for i, oracle in enumerate(graphs)]
-    points = corners.corners.with_goal(*(oracle.goal for oracle in graphs)).points
-    graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
-    distances, parents = dijkstra(graph, np.arange(count))
-    # 3. Find the sources. If several goals are equal, the first of them counts.
-    vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
-    turns = find_turn_points(vertices, distances, parents, count)
-    _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
-    sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
-    sight = goal_sight(sources, turns, joined_tables([*tables, corners.table]), first.workspace.triangulation, count)
-    lists = lists_of_goal(_turn_regions(first, turns, count), count)
-    return CellSources.of_boxes(sight, lists, domain.lo[None], domain.hi[None])
+
+    dim: ClassVar[int] = 2
+    workspace: Workspace
+    sources: Sources
+    roots: Int[np.ndarray, " sources"]  # number of each root; -1 for other sources
+    exits: Int[np.ndarray, " sources"]  # source where the path of a root goes on; itself for other sources and goals
+    regions: TurnRegions  # of all sources: paths may turn at a goal or place in any direction
+    table: VisibilityTable
+
+    @classmethod
+    def of(
+        cls,
+        workspace: Workspace,
+        corners: CornerVisibility,
+        goals: Float[np.ndarray, "goals 2"],
+        offsets: Float[np.ndarray, " goals"],
+    ) -> "NearestPaths":
+        """Find the paths to ``goals``, points of free space; ``offsets`` are the costs of using each goal."""
+        # 1. Of equal goals, keep the cheapest.
+        mesh, num_goals = workspace.triangulation, len(goals)
+        place = mesh.place(goals).x
+        order = np.lexsort((offsets, *place.T))
+        kept = np.sort(order[np.append(True, (place[order[1:]] != place[order[:-1]]).any(axis=1))])
+        # 2. Split goals where obstacles touch, so that no path to another goal passes there between the obstacles.
+        views, copied = viewpoints_at(mesh, goals[kept]).split()
+        kept = kept[copied]
+        # 3. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
+        #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
+        count, vertices = len(kept), corners.corners.with_goal(*goals[kept])
+        table, (goal, corner) = _views_in_sight(workspace, corners, views)
+        goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
+        end = len(vertices.points)
+        number = np.append(kept, num_goals + corners.copied)
+        start = np.append(np.arange(count), count + corners.arcs.start)
+        onward = np.append(np.full(count, end), count + corners.arcs.end)
+        arcs = Arcs(onward, start, np.append(offsets[kept], corners.arcs.length))
+        points = np.concatenate([vertices.points, vertices.points[:1]])
+        edges = np.concatenate([np.stack([goal, count + corner], axis=1), count + corners.edges])
+        adjacency = Graph(points, edges, arcs=arcs).adjacency
+        distances, parents = dijkstra(adjacency, end)
+        # 4. Find the roots: vertices whose paths start with an arc. Of equal arcs, the first counts.
+        roots, exits = np.full(end, -1), np.arange(end)
+        taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
+        roots[start[taken]] = number[taken]
+        exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
+        parents = np.where(roots < 0, parents[:-1], -1)
+        sources = replace(_sources(vertices.points, distances[:-1], parents), roots=roots, exits=exits)
+        # 5. List the sources at which paths from each triangle may turn first. Directions are those between rounded
+        #    points, as goals beside a corner may lie on another side of it before they are rounded.
+        views = views.append(corners.views)
+        rounded = replace(vertices, points=views.points)
+        turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)
+        turns = replace(turns, points=vertices.points[turns.vertex])
+        visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
+        regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
+        return cls(workspace, sources, roots, exits, regions, joined_tables([table, corners.table]))
+
+    def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
+        """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
+        source, distance = np.full(len(x), -1), np.full(len(x), np.inf)
+        free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
+        places = self.workspace.triangulation.place(x[free])
+        source[free], distance[free] = self.regions.first_visible(
+            x[free], places, lambda i, source: self.table.sees(source, places.x[i])
+        )
+        return source, distance
+
+    def __call__(self, x: ArrayLike) -> Distances:
+        """Return the distance of each point ``(n, 2)`` to the nearest goal, ``inf`` without a path."""
+        return self.first_turns(as_points("x", x, 2))[1]
+
+    def which(self, x: ArrayLike) -> Int[np.ndarray, " n"]:
+        """Return the number of the root at which the path from each point ``(n, 2)`` ends; -1 without a path."""
+        source, _ = self.first_turns(as_points("x", x, 2))
+        return np.where(source < 0, -1, self.roots[path_ends(self.sources.parents)[source]])
+
+    def reach(self, domain: Box) -> Reach | None:
+        """Return which boxes of a domain hold free points without a path; None if there are none."""
+        return self.workspace.reach(self.sources.points[self.roots >= 0], domain)
+
+    def cell_sources(self, domain: Box) -> CellSources:
+        """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first."""
+        sight = goal_sight(self.sources, self.regions.turns, self.table, self.regions.triangulation, num_goals=0)
+        lists = lists_of_goal(self.regions, num_goals=0)
+        return CellSources.of_boxes(sight, lists, domain.lo[None], domain.hi[None])
 
 
-def _turn_regions(oracle: VisibilityGraph, turns: TurnPoints, num_goals: int) -> TurnRegions:
-    triangulation, views = oracle.workspace.triangulation, oracle.family.views
-    visits = triangles_within(triangulation, views[turns.vertex - num_goals], *turns.bounds)
-    return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
-
-
-def _sources(graph: Graph, distances: Distances, parents: Int[np.ndarray, " vertices"]) -> Sources:
+def _sources(points: Points, distances: Distances, parents: Int[np.ndarray, " vertices"]) -> Sources:
     # A vertex without a next one is its own parent.
-    parents = np.where(parents < 0, np.arange(len(parents)), parents)
-    return Sources(graph.vertices, distances, parents)
+    return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents))
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:

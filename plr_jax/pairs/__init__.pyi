@@ -1,3 +1,4 @@
+from .building_pairs import BuildingPairs as BuildingPairs
 from .grid_pairs import DistanceToCell as DistanceToCell
 from .grid_pairs import GridPairs as GridPairs
 from .grid_pairs import construct_grid_pairs as construct_grid_pairs

@@ -21,6 +21,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.graph import Arcs
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
@@ -248,13 +249,16 @@ def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, dom
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 
 
-def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
+def construct_stored(
+    workspace: Workspace, max_bytes: int | None, visibility: CornerVisibility | None = None
+) -> tuple[PairsFileData, bytes]:
     """Build the content of a file of distances between pairs of points; also return the bytes of the file.
 
-    The file has at most ``max_bytes`` bytes (None: 65,536).
+    The file has at most ``max_bytes`` bytes (None: 65,536). ``visibility`` has the corners of the workspace, with
+    places and arcs; None: without.
     """
     if not isinstance(workspace, Workspace):
-        raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
+        raise ValueError(f"construct_pairs needs a Workspace or a Building, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     domain = workspace.bounds
     limits = check_limits(leaf_model("cone"), 2, Proof.NONE, frame_size(domain), max_bytes=max_bytes)
@@ -268,18 +272,22 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # A corner c has several corners f, such as two at a sharp tip, or none: order[first[c] : first[c + 1]].
     #
     # 1. Round the boundary of free space to a lattice, and find its corners.
-    visibility = corner_visibility(workspace)
+    visibility = visibility or corner_visibility(workspace)
     width = float(domain.width.max())
     outline, vertex = outline_of(workspace.boundary, domain.lo, width, workspace.tolerance)
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
     if workspace.squeeze:
         outline, vertex = with_open_contacts(outline, vertex)
+    places = visibility.places
     point_of, corner_of = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
-    if len(point_of) > MOST_CORNERS:
+    corner_of, num_corners = np.append(corner_of, places), len(point_of) + len(places)
+    if num_corners > MOST_CORNERS:
         raise ValueError(
-            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(point_of):,}: simplify its polygons, "
+            f"The workspace may have at most {MOST_CORNERS:,} corners, got {num_corners:,}: simplify its polygons, "
             "or ask a VisibilityGraph."
         )
+    shift = num_corners - len(visibility.corners.points)
+    arcs = Arcs(shift + visibility.arcs.start, shift + visibility.arcs.end, visibility.arcs.length)
     order = np.argsort(corner_of, kind="stable")
     first = np.searchsorted(corner_of[order], np.arange(len(visibility.corners.points) + 1))
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
@@ -288,10 +296,12 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     edges = _edges_in_file(order, first, a[is_taut], b[is_taut])
     # 3. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
-    true, rounded = visibility.corners.points[corner_of], outline.positions[point_of]
+    true = visibility.corners.points[corner_of]
+    rounded = np.concatenate([outline.positions[point_of], true[len(point_of) :]])
     moved = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0))
     change = 0.0  # largest change of a distance between corners
-    for (_, exact), (_, rough) in zip(distances_by_rows(true, edges), distances_by_rows(rounded, edges), strict=True):
+    by_rows = (distances_by_rows(points, edges, arcs) for points in (true, rounded))
+    for (_, exact), (_, rough) in zip(*by_rows, strict=True):
         with np.errstate(invalid="ignore"):  # `exact` and `rough` may both be infinite
             change = max(change, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))
     # The file has 32 bits, so round up.
@@ -304,9 +314,20 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         listed = order[place]
         leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
         by_leaf = np.lexsort((listed, leaf))
-        return PairsFileData(domain, outline, point_of, edges, tree, leaf[by_leaf], listed[by_leaf], rounding)
+        return PairsFileData(
+            domain,
+            outline,
+            point_of,
+            edges,
+            tree,
+            leaf[by_leaf],
+            listed[by_leaf],
+            rounding,
+            places=true[len(point_of) :],
+            arcs=arcs,
+        )
 
-    most = min(limits.max_leaves, most_leaves(len(point_of)))
+    most = min(limits.max_leaves, most_leaves(num_corners))
     root = corners_seen(visibility, workspace.triangulation, domain)
     pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
     data = pairs_data.to_bytes()

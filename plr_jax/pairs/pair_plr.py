@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,9 @@ from plr_jax.plr.frame import Outside, as_outside, require_resolved, unresolved_
 from plr_jax.plr.query import length_of
 
 if TYPE_CHECKING:
+    from plr_jax.buildings import Building
     from plr_jax.geometry.workspace import Workspace
+    from plr_jax.pairs.building_pairs import BuildingPairs
 
 
 _BLOCKS = (2**10, 2**14)  # pairs in a block of compiled code: in small and in large batches
@@ -107,6 +109,7 @@ class PairPLR(FileBacked):
         and have no gradient in the goals, which have 32 bits. With ``outside="clamp"``, distances are still ``inf``
         to a goal outside the domain. Use the result only with the same PairPLR. ``ValueError`` as for a call.
         """
+        self._require_no_links("Distances to prepared goals")
         goals = self._from_middle("goals", goals)
         # 1. Few goals: NumPy compiles nothing.
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
@@ -161,7 +164,12 @@ class PairPLR(FileBacked):
         first turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for
         bit.
         """
+        self._require_no_links("JavaScript")
         return js_pairs_module(self.to_bytes(), self.domain)
+
+    def _require_no_links(self, name: str) -> None:
+        if self.tables.has_arcs:
+            raise ValueError(f"{name} cannot take links of a building: use the BuildingPairs, or a PLR of each goal.")
 
     def _answer(
         self,
@@ -246,7 +254,7 @@ class PairPLR(FileBacked):
     @property
     def num_corners(self) -> int:
         """Number of corners where paths turn."""
-        return len(self.stored.corner)
+        return self.stored.num_corners
 
     def __repr__(self) -> str:
         try:
@@ -256,17 +264,23 @@ class PairPLR(FileBacked):
             return "PairPLR(of arrays that are traced, stacked or replaced)"
 
 
-def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR:
-    """Build a PairPLR: distances between any two points of a planar workspace.
+@overload
+def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR: ...
+@overload
+def construct_pairs(workspace: "Building", *, max_bytes: int | None = None) -> "BuildingPairs": ...
+def construct_pairs(workspace: Any, *, max_bytes: int | None = None) -> Any:
+    """Build a PairPLR: distances between any two points of a planar workspace, or BuildingPairs for a building.
 
     The common call names a budget in bytes:
 
         pairs = plr_jax.construct_pairs(workspace, max_bytes=1024)
         pairs(x, y)  # distances (n,) of points x and y, both (n, 2)
 
+    For a :class:`Building`, ``pairs((floor_x, x), (floor_y, y))`` also takes links.
+
     Args:
         workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
-            count twice), else ``ValueError``.
+            count twice), else ``ValueError``. Or a building, whose ends of links also count.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
             corners alone take more.
 
@@ -295,6 +309,11 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
+    if hasattr(workspace, "plane_floors"):
+        from plr_jax.pairs.building_pairs import BuildingPairs
+
+        stored, data = construct_stored(workspace.plane, max_bytes, workspace.corners)
+        return BuildingPairs(workspace.plane_floors, PairPLR(padded_file(data), stored))
     stored, data = construct_stored(workspace, max_bytes)
     return PairPLR(padded_file(data), stored)
 

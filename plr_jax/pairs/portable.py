@@ -120,12 +120,14 @@ class MovedObstacles:
         receding = RECEDING * width
         # 1. Move corners, for certain paths twice as far as walls.
         if is_certain:
-            corners = outline.moved_points(-2 * receding)[stored.corner]
+            corners = np.concatenate([outline.moved_points(-2 * receding)[stored.corner], stored.places])
         else:
             # Corners at the end of a wall move in front of it, or rounding would hide them: by at most `0.2 * MITRE`
             # margins, so that no corner moves through an obstacle close ahead whose walls move back.
             before = outline.moved_points(-0.2 * MARGIN * width)[stored.corner]
-            corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
+            corners = stored.points.copy()
+            ends_sight = np.flatnonzero(outline.ends_sight(receding)[stored.corner])
+            corners[ends_sight] = before[ends_sight]
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         # 2. Move walls.
         walls = outline.moved_walls(-receding if is_certain else receding, moves_all=for_lower_bounds)
@@ -173,12 +175,12 @@ class NumpyPairs:
         self._rounded_ends = self._half + ENDS * (self._half + np.abs(middle.astype(np.float32)))
         # 2. Leaves, and the corners that each lists: a row per leaf, padded with the number of corners, an index at
         #    which all distances and coordinates are `inf`.
-        count, corners = len(stored.cells), len(stored.corner)
+        count, corners = len(stored.cells), stored.num_corners
         self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
         lengths = np.bincount(stored.leaf, minlength=count)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[ragged_indices(lengths)] = stored.listed
-        self._distances = distances_table(stored, corners + 1)
+        self._distances, self._has_arcs = distances_table(stored, corners + 1), len(stored.arcs.start) > 0
         # 3. Walls and corners, moved in three ways, and what both bounds leave for errors.
         self._obstacles = MovedObstacles.of(stored, is_certain=False)
         self._upper_obstacles = MovedObstacles.of(stored, is_certain=True)
@@ -295,8 +297,9 @@ class NumpyPairs:
         The path is straight if the walls of ``obstacles`` allow it, else it turns at corners of ``obstacles``.
         Points are relative to the middle of the domain.
         """
-        # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits.
-        swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
+        # 1. Sort the points of each pair lexicographically, so that swapped points get the same bits. Arcs have one
+        #    direction.
+        swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None] & ~self._has_arcs
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
         # 2. Find shortest paths in 32 bits: |p - i| + (|q - j| + D(i, j)) through listed corners i and j.
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
@@ -307,7 +310,7 @@ class NumpyPairs:
             onward = legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]]
             return turns_p, turns_q, legs_p[:, :, None] + onward
 
-        length, via_p, via_q = _shortest(obstacles, single_p, single_q, paths)
+        length, via_p, via_q = _shortest(obstacles, single_p, single_q, paths, self._has_arcs)
         if p.dtype == np.float32:
             return length
 
@@ -351,7 +354,11 @@ def _in_blocks(
 
 
 def _shortest(
-    obstacles: MovedObstacles, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
+    obstacles: MovedObstacles,
+    p: _Points,
+    q: _Points,
+    paths: Callable[..., tuple[Any, Any, Any]],
+    has_arcs: bool = False,
 ) -> tuple[_Lengths, _Points, _Points]:
     """Return the length, the first turn and the last turn of the shortest path from each ``p[i]`` to ``q[i]``.
 
@@ -362,10 +369,11 @@ def _shortest(
     # 1. Straight paths.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
     hidden = np.flatnonzero(obstacles.hides(p, q))
-    # 2. For other pairs, try the shortest path first, and drop the turns that its ends do not see, until a path is
-    #    free or none is left.
-    turns_p, turns_q, lengths_via = paths(hidden)
     lengths[hidden] = np.inf
+    # 2. For other pairs, try the shortest path first, and drop the turns that its ends do not see, until a path is
+    #    free or none is left. Arcs may be shorter than straight paths.
+    hidden = np.arange(len(p)) if has_arcs else hidden
+    turns_p, turns_q, lengths_via = paths(hidden)
     pending = np.arange(len(hidden))  # indices in `hidden`
     while len(pending):
         i, j = np.divmod(lengths_via[pending].reshape(len(pending), -1).argmin(axis=1), lengths_via.shape[2])
@@ -374,10 +382,11 @@ def _shortest(
         hidden_p, hidden_q = obstacles.hides(p[rows], first), obstacles.hides(q[rows], last)
         lengths_via[pending[hidden_p], i[hidden_p]] = np.inf
         lengths_via[pending[hidden_q], :, j[hidden_q]] = np.inf
-        is_free = (length < np.inf) & ~(hidden_p | hidden_q)
+        is_shorter = length < lengths[rows]
+        is_free = is_shorter & ~(hidden_p | hidden_q)
         found = rows[is_free]
         lengths[found], via_p[found], via_q[found] = length[is_free], first[is_free], last[is_free]
-        pending = pending[(length < np.inf) & ~is_free]
+        pending = pending[is_shorter & ~is_free]
     return lengths, via_p, via_q
 
 

@@ -109,10 +109,13 @@ def shortest_ways(
     """Find shortest paths between points ``x`` and ``y``, both relative to the middle of the domain.
 
     If ``y`` are prepared goals, ``to_corners`` has the distances of goals to all corners, and ``goal`` the row of
-    each ``y`` in ``to_corners``. Otherwise paths are equal to the last bit if ``x`` and ``y`` are swapped.
+    each ``y`` in ``to_corners``. Otherwise, without arcs, paths are equal to the last bit if ``x`` and ``y`` are
+    swapped.
     """
     if goal is not None:
         return part_by_part(partial(_ways, tables, to_corners), _AT_ONCE, x, y, goal)
+    if tables.has_arcs:
+        return part_by_part(partial(_ways, tables, None), _AT_ONCE, x, y)
     swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
     ways = part_by_part(partial(_ways, tables, None), _AT_ONCE, jnp.where(swaps, y, x), jnp.where(swaps, x, y))
     from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)

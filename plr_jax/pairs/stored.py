@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import NO_ARCS, Arcs, Graph
 from plr_jax.geometry.vectors import left_normal, orientation, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
@@ -287,26 +287,24 @@ _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 
 
 def distances_by_rows(
-    points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
+    points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"], arcs: Arcs = NO_ARCS
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Yield the matrix of shortest path lengths along straight edges between points, in blocks of rows.
+    """Yield the matrix of shortest path lengths along straight edges and arcs between points, in blocks of rows.
 
-    Each item is ``(first, block)``: the index of the block's first row, and the block. Lengths are ``inf`` without a
-    path.
+    Rows are starts, columns are ends. Each item is ``(first, block)``: the index of the block's first row, and the
+    block. Lengths are ``inf`` without a path.
     """
-    start, end = edges.T
-    lengths = np.linalg.norm(points[start] - points[end], axis=1)
-    graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
+    adjacency = Graph(points, edges, arcs=arcs).adjacency
     step = max(1, _DISTANCES_AT_ONCE // max(1, len(points)))
     for begin in range(0, len(points), step):
         rows = np.arange(begin, min(begin + step, len(points)))
-        yield begin, dijkstra(graph, directed=False, indices=rows)
+        yield begin, dijkstra(adjacency, indices=rows)
 
 
 def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
     """Return the matrix of path lengths between corners, padded with ``inf`` to ``size`` rows and columns."""
     table = np.full((size, size), np.inf, np.float32)
-    for first, rows in distances_by_rows(stored.points, stored.edges):
+    for first, rows in distances_by_rows(stored.points, stored.edges, stored.arcs):
         table[first : first + len(rows), : len(stored.points)] = rows
     return table
 
@@ -336,6 +334,9 @@ class PairsFileData:
     listed: Int[np.ndarray, " entries"]
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
+    # Points of free space at which paths may turn in any direction: corners with the indices after those of `corner`.
+    places: Float[np.ndarray, "places 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    arcs: Arcs = NO_ARCS  # between places, given as indices of corners
 
     @property
     def cells(self) -> Cells:
@@ -343,12 +344,17 @@ class PairsFileData:
 
     @cached_property
     def points(self) -> Float[np.ndarray, "corners 2"]:
-        return self.outline.positions[self.corner]
+        return np.concatenate([self.outline.positions[self.corner], self.places])
+
+    @property
+    def num_corners(self) -> int:
+        """Number of corners, places included."""
+        return len(self.points)
 
     def to_bytes(self) -> bytes:
         """Encode the file: a layer of the map and its corners, then a layer of the leaves and their lists."""
         # 1. Write the map, the corners, and the pairs of corners: i < j has the number j (j - 1) / 2 + i.
-        first, count = BitWriter(), len(self.corner)
+        first, count = BitWriter(), self.num_corners
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
         is_corner = np.zeros(len(self.outline.points), bool)
@@ -357,9 +363,16 @@ class PairsFileData:
         is_joined = np.zeros(count * (count - 1) // 2, bool)
         i, j = self.edges.T
         is_joined[j * (j - 1) // 2 + i] = True
-        first.write_set(is_joined)
-        if len(self.outline.thin):
+        num_pairs = len(self.corner) * (len(self.corner) - 1) // 2  # the first pairs, without places
+        first.write_set(is_joined[:num_pairs])
+        if len(self.outline.thin) or len(self.places):
             first.write_set(self.outline.is_thin)
+        if len(self.places):
+            first.write(np.array([len(self.places), len(self.arcs.start)]), _COUNT_BITS)
+            numbers = np.concatenate([self.places.ravel(), self.arcs.length]).astype("<f8")
+            first.write(np.frombuffer(numbers.tobytes(), "<u4").astype(np.int64), 32)
+            first.write(np.concatenate(self.arcs[:2]) - len(self.corner), _COUNT_BITS)
+            first.write_set(is_joined[num_pairs:])
         # 2. Write the tree and the lists. A node lists the union of its halves' lists. Level by level, the file
         #    stores which of its parent's corners each node drops; the root drops corners that no leaf lists.
         lists, tree = BitWriter(), self.tree
@@ -408,15 +421,21 @@ class PairsFileData:
                 raise ValueError("it holds more data than its outline needs")
             (body,) = others
             rounding = _read_rounding(body)
-        number = body.read_members(count * (count - 1) // 2)
+        number, num_pairs = body.read_members(count * (count - 1) // 2), count * (count - 1) // 2
+        thin, places, arcs = np.zeros(0, np.int64), np.zeros((0, 2)), NO_ARCS
+        if not body.at_end():
+            thin = np.flatnonzero(body.read_set(len(outline.points)))
+        if not body.at_end():
+            places, arcs = _read_places(body, count)
+            count += len(places)
+            number = np.append(number, num_pairs + body.read_members(count * (count - 1) // 2 - num_pairs))
         j = ((1 + np.sqrt(1 + 8 * number.astype(np.float64))) // 2).astype(np.int64)
         j -= j * (j - 1) // 2 > number
         j += j * (j + 1) // 2 <= number
         edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
         if not body.at_end():
-            outline = replace(outline, thin=np.flatnonzero(body.read_set(len(outline.points))))
-        if not body.at_end():
             raise ValueError("it holds more data than its corners need")
+        outline = replace(outline, thin=thin)
         # 3. Read the tree and the leaves' lists.
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
@@ -425,11 +444,32 @@ class PairsFileData:
         leaf, listed = _read_lists(lists, tree, count, most)
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        return PairsFileData(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
+        lists_of_leaves = tree, leaf, listed
+        return PairsFileData(
+            domain, outline, corner, edges, *lists_of_leaves, rounding, container.label, places, arcs
+        )
 
 
 def most_leaves(num_corners: int) -> int:
     return max(1, _MOST_NUMBERS // max(1, num_corners))
+
+
+def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "places 2"], Arcs]:
+    """Decode the places after the given number of other corners, and the arcs between places."""
+    num_places, num_arcs = body.read_fixed_width(2, _COUNT_BITS).tolist()
+    if num_corners + num_places > MOST_CORNERS:
+        raise ValueError(f"it may have at most {MOST_CORNERS} corners and places, got {num_corners + num_places}")
+    words = body.read_fixed_width(4 * num_places + 2 * num_arcs, 32)
+    numbers = np.frombuffer(words.astype("<u4").tobytes(), "<f8").astype(np.float64)
+    start, end = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
+    places, lengths = numbers[: 2 * num_places].reshape(-1, 2), numbers[2 * num_places :]
+    if (
+        not np.isfinite(numbers).all()
+        or (lengths < 0).any()
+        or max(start.max(initial=0), end.max(initial=0)) >= num_places
+    ):
+        raise ValueError("its places or arcs are invalid")
+    return places, Arcs(num_corners + start, num_corners + end, lengths)
 
 
 def _read_rounding(body: BitReader) -> float:

@@ -63,6 +63,7 @@ class PairTables:
     sure_walls: Walls | None  # without thin obstacles, and open where obstacles touch; None if equal to `walls`
     rounding: Float[Array, "2"]  # largest error of a distance through corners, and through `outset_corners`
     unresolved: tuple[str, ...] = field(metadata={"static": True})  # point types too coarse for the domain
+    has_arcs: bool = field(default=False, metadata={"static": True})  # whether paths back may have other lengths
     is_certain: bool = field(default=False, metadata={"static": True})  # whether every path found is certainly free
 
 
@@ -80,7 +81,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     width = float(stored.domain.width.max())
-    cells, num_corners = stored.cells, len(stored.corner)
+    cells, num_corners = stored.cells, stored.num_corners
     size, rows = table_size(num_corners), size_in_eighths(len(cells))  # of tables of corners and of leaves
     obstacles, upper_obstacles = (MovedObstacles.of(stored, is_certain) for is_certain in (False, True))
     lower_walls = MovedObstacles.of(stored, False, for_lower_bounds=True).walls
@@ -114,7 +115,8 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         return Walls(in_32_bits(groups), in_32_bits(np.concatenate([(lo + hi) / 2, (hi - lo) / 2], axis=1)))
 
     # 3. Bound the lengths of paths from corners to leaves, in steps of which the longest path has less than 2**16.
-    distances = distances_table(stored, size)
+    distances, has_arcs = distances_table(stored, size), len(stored.arcs.start) > 0
+    to_corners = np.ascontiguousarray(distances.T) if has_arcs else distances  # by end, then start
     longest = distances.max(where=np.isfinite(distances), initial=0.0) + 2 * np.hypot(*domain.width)
     step = np.asarray(longest / (NO_WAY - 1), np.float32)
     middles = ((lo + hi) / 2).astype(np.float32)
@@ -130,7 +132,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         y=in_32_bits(y),
         listed=jax.device_put(listed),
         distances=in_32_bits(distances),
-        onward=jax.device_put(_bounds_to_leaves(distances, listed, corners, middles, halves, step)),
+        onward=jax.device_put(_bounds_to_leaves(to_corners, listed, corners, middles, halves, step)),
         step=in_32_bits(step),
         middles=in_32_bits(middles),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
@@ -140,6 +142,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         sure_walls=None if np.array_equal(lower_walls, obstacles.walls) else in_boxes(lower_walls),
         rounding=in_32_bits(stored.rounding + 2 * np.array([obstacles.moved, upper_obstacles.moved])),
         unresolved=unresolved_types(stored.domain),
+        has_arcs=has_arcs,
     )
 
 
@@ -153,9 +156,10 @@ def _bounds_to_leaves(
 ) -> UInt32[np.ndarray, "rows size"]:
     """Return `PairTables.onward`: a lower bound of path lengths from each corner to the points of each leaf.
 
-    The bound is a linear function of the point, packed in 32 bits. ``distances`` are path lengths between corners,
-    ``corners`` their positions, and ``listed`` the indices of the corners that each leaf lists. The box of a leaf has
-    its center at ``middles`` and the half widths ``halves``. Lengths are packed in units of ``step``.
+    The bound is a linear function of the point, packed in 32 bits. ``distances[k, a]`` is the path length from corner
+    ``a`` to corner ``k``, ``corners`` are their positions, and ``listed`` the indices of the corners that each leaf
+    lists. The box of a leaf has its center at ``middles`` and the half widths ``halves``. Lengths are packed in units
+    of ``step``.
     """
     # Fix a corner a and a leaf, whose box has the middle m and the half widths h. The path from a over the listed
     # corner k to a point x has the length d_k + |x - k|, with the distance d_k between a and k. It is convex in x, so

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._files import file_path, write_atomically
+from plr_jax.buildings import BuildingPLR
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs import PairPLR
@@ -103,18 +104,28 @@ class Page:
         return in_iframe(self.html, *_FRAME)
 
 
-def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Page:
+def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None = None) -> Page:
     """Return a self-contained web page of a distance function, which needs no server or network.
 
     The page shows distances as colors and contours, the walls, and optionally the cells. At the pointer it shows the
     distance, its proven bounds and a path. A click starts a swarm of points that flow to the goal. For pairs
     (distances between any two points), both points can be dragged. Other files of pairs, or of PLRs with cone leaves,
-    can be dropped on the page. Distances equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
+    can be dropped on the page. Of a building, the page shows one floor at a time. Distances equal those of
+    ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
 
-    For a PLR, the walls drawn are the obstacles of ``workspace``; pairs have walls of their own. ``ValueError`` is
-    raised unless the first argument is a PLR or PairPLR in the plane, and ``workspace`` is a Workspace or None.
+    For a PLR, the walls drawn are the obstacles of ``workspace``, or of ``building.plane``; pairs have walls of their
+    own. ``ValueError`` is raised unless the first argument is a PLR, BuildingPLR or PairPLR in the plane, and
+    ``workspace`` is a Workspace or None.
     """
-    source = plr_or_pairs
+    source, floors, links = plr_or_pairs, None, []
+    if isinstance(source, BuildingPLR):
+        source, of_building = source.plane, source.floors
+        shift = of_building.shift
+        parts = zip((of_building.lo + shift).tolist(), (of_building.hi + shift).tolist(), shift.tolist(), strict=True)
+        floors = [dict(zip(("lo", "hi", "shift"), part, strict=True)) for part in parts]
+        for arc in of_building.arcs:
+            at = (arc.start[1] + shift[arc.start[0]]).tolist()
+            links.append({"at": at, "index": arc.link, "to": arc.end[0]})
     if not isinstance(source, PLR | PairPLR):
         raise ValueError(f"A page needs a PLR or a PairPLR in the plane, got {shortened(source)}.")
     if source.domain.dim != 2:
@@ -126,7 +137,11 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     data = source.to_bytes()
     name = source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
-    content = {"name": json.dumps(name), "walls": json.dumps(walls)}
+    if workspace is not None and floors:  # drawn for each floor in another place: corners, not pixels
+        rings = shapely.get_rings(shapely.get_parts(workspace.free_space))
+        walls = {"isFree": True, "rings": [shapely.get_coordinates(ring)[:-1].round(9).tolist() for ring in rings]}
+    facts = {"name": name, "walls": walls, "floors": floors, "links": links}
+    content = {key: json.dumps(value) for key, value in facts.items()}
     if isinstance(source, PairPLR) or _is_plain_cone(Container.from_bytes(data)):
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:

@@ -1,5 +1,5 @@
 // An interactive view of a distance function. An opened file has a title, bounds and a reader { distance, bounds, route, ... }.
-const { name, file, module, walls, box } = {{content}};
+const { name, file, module, walls, box, floors, links } = {{content}};
 const KINDS = ["planes", "continuous leaves", "smooth leaves", "cones"];
 const COLORS = "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725".split(" ").map(hex => [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16)));
 const MOST_BYTES = 2 ** 26, MOST_LISTED = 512, FINEST = 500, SIZE = 520, SWARM = 80, UNIT = "workspace units";
@@ -10,7 +10,7 @@ for (let i = 0; i < 256; i++) {
     palette[i] = new Uint32Array(new Uint8Array([r, g, b, 255]).buffer)[0];
 }
 const text = (number, digits = 4) => number === Infinity ? "infinite" : Number.isNaN(number) ? "not a number" : String(Number(number.toPrecision(digits)));
-const pointText = ([x, y]) => `(${text(x)}, ${text(y)})`;
+const pointText = ([x, y]) => `(${text(x - opened.shift[0])}, ${text(y - opened.shift[1])})`;
 const between = (a, b, share) => a + share * (b - a);
 const apart = (a, b) => Math.hypot(b[0] - a[0], b[1] - a[1]);
 
@@ -92,6 +92,7 @@ function isWall(point) {
     if (!view.path) return false;
     return shape.isPointInPath(view.path, ...toPixels(point), "evenodd") !== view.isFree;
 }
+function isInView(place) { return place.every((along, axis) => view.lo[axis] <= along && along <= view.hi[axis]); }
 function toPixels([x, y]) { return [view.scale * (x - view.lo[0]), view.scale * (view.hi[1] - y)]; }
 function ofPixels([right, down]) { return [view.lo[0] + right / view.scale, view.hi[1] - down / view.scale]; }
 
@@ -101,7 +102,7 @@ function look() {
     const finest = opened.isOfPairs ? Math.min(FINEST, Math.sqrt(64e6 / shown().corners)) : FINEST;
     view.columns = Math.max(1, Math.round(finest * width / view.width));
     view.rows = Math.max(1, Math.round(finest * height / view.width));
-    const data = !drawn ? "" : drawn.data || drawn.rings.map(ring => `M${ring.map(point => toPixels(point).map(along => along.toFixed(2)).join(" ")).join("L")}Z`).join("");
+    const data = !drawn ? "" : drawn.data || drawn.rings.filter(([place]) => isInView(place)).map(ring => `M${ring.map(point => toPixels(point).map(along => along.toFixed(2)).join(" ")).join("L")}Z`).join("");
     view.isFree = Boolean(drawn && drawn.isFree);
     view.path = data ? new Path2D(data) : null;
     const frame = `M0 0H${view.across}V${view.down}H0Z`;
@@ -231,10 +232,12 @@ function drawLegend() {
 }
 
 function drawCells() {
-    const { tree, root } = shown(), data = [];
+    const { tree, root } = shown(), data = [], { lo, hi } = opened.domain;
+    const most = [view.across, view.down]; // of a plane of several floors, only one is in view
+    const place = (x, y) => toPixels([between(lo[0], hi[0], x), between(lo[1], hi[1], y)]).map((along, axis) => Number(Math.min(most[axis], Math.max(0, along)).toFixed(2)));
     if (byId("celled").checked) for (const stack = [[root, 0, 0, 1, 1]]; stack.length; ) {
         const [code, x0, y0, x1, y1] = stack.pop(), axis = code & 3, at = 2 * (code >>> 2);
-        if (axis === 2) data.push(`M${(x0 * view.across).toFixed(2)} ${((1 - y0) * view.down).toFixed(2)}V${((1 - y1) * view.down).toFixed(2)}H${(x1 * view.across).toFixed(2)}`);
+        if (axis === 2) { const [left, low] = place(x0, y0), [right, high] = place(x1, y1); if (left < right && high < low) data.push(`M${left} ${low}V${high}H${right}`); }
         else if (axis) stack.push([tree[at], x0, y0, x1, (y0 + y1) / 2], [tree[at + 1], x0, (y0 + y1) / 2, x1, y1]);
         else stack.push([tree[at], x0, y0, (x0 + x1) / 2, y1], [tree[at + 1], (x0 + x1) / 2, y0, x1, y1]);
     }
@@ -244,7 +247,7 @@ function drawCells() {
 function ask() {
     const { distance, bounds, route } = shown(), ends = opened.isOfPairs ? [start, goal] : [start];
     const found = distance(...ends), path = Number.isFinite(found) && !isWall(start) ? route(...ends) : null;
-    let says = `From ${pointText(start)} to ${opened.isOfPairs || shown().goal ? pointText(goal) : "the goal"}: `;
+    let says = `From ${pointText(start)} to ${opened.isOfPairs || shown().goal && !opened.isFloor ? pointText(goal) : "the goal"}: `;
     says += found === Infinity ? "no path is known." : `${text(found)} ${UNIT}.`;
     if (bounds && found < Infinity) {
         const [lower, upper] = bounds(...ends);
@@ -256,6 +259,10 @@ function ask() {
         says += apart(last, goal) < view.width / 50 ? ` A path along the gradient has length ${text(long)}.` : ` A path along the gradient ends at ${pointText(last)}.`;
     }
     else if (path) says += ` The stored path has ${path.length - 1} ${path.length === 2 ? "segment" : "segments"}.`;
+    if (path && opened.isFloor && shown().isSourced !== false) { // the path ends at the goal, or at a link
+        const end = path[path.length - 1], link = links.find(({ at }) => apart(at, end) < 1e-5 * view.width);
+        if (link) says += ` It takes link ${link.index}, to floor ${link.to}.`;
+    }
     byId("readout").textContent = says;
     const points = path ? path.map(point => toPixels(point).map(along => along.toFixed(2)).join(",")).join(" ") : "";
     for (const id of ["under", "path"]) byId(id).setAttribute("points", points);
@@ -275,9 +282,9 @@ function describe() {
     const cell = (kind, content) => Object.assign(document.createElement(kind), { textContent: content });
     const line = cells => { const row = document.createElement("tr"); row.append(...cells); return row; };
     const at = (axis, share) => between(lo[axis], hi[axis], share);
-    const head = line([cell("td", ""), ...lattice.map(share => Object.assign(cell("th", `x ${text(at(0, share))}`), { scope: "col" }))]);
+    const head = line([cell("td", ""), ...lattice.map(share => Object.assign(cell("th", `x ${text(at(0, share) - opened.shift[0])}`), { scope: "col" }))]);
     byId("table").replaceChildren(byId("table").caption, head, ...rows.map(down => line([
-        Object.assign(cell("th", `y ${text(at(1, down))}`), { scope: "row" }),
+        Object.assign(cell("th", `y ${text(at(1, down) - opened.shift[1])}`), { scope: "row" }),
         ...lattice.map(share => { const x = [at(0, share), at(1, down)]; return cell("td", isWall(x) ? "wall" : text(shown().distance(...(opened.isOfPairs ? [x, goal] : [x])))); }),
     ])));
 }
@@ -299,17 +306,18 @@ function freeNear(shares) {
 function show(content) {
     const before = [opened, view];
     try {
-        opened = content;
+        opened = { domain: content, shift: [0, 0], isFloor: false, ...content };
         largest = 0;
         look();
         if (content.isOfPairs) goal = freeNear([0.08, 0.08]);
         if (content.isOfPairs) addSights(); else drawField();
-        if (!content.isOfPairs) goal = shown().goal || lowest();
+        if (!content.isOfPairs) goal = !opened.isFloor && shown().goal || lowest();
         start = freeNear([0.93, 0.93]);
     } catch (error) {
         [opened, view] = before;
         throw error;
     }
+    byId("floor-label").hidden = !opened.isFloor;
     byId("celled").checked = false;
     swarm = [];
     play(false);
@@ -427,4 +435,12 @@ byId("file").addEventListener("change", event => takeFile(event.target.files[0])
 addEventListener("dragover", event => event.preventDefault());
 addEventListener("drop", event => { event.preventDefault(); takeFile(event.dataTransfer.files[0]); });
 
-try { show(file ? openFile(bytesOf(file), name, walls) : openModule()); } catch (error) { refuse(name, error); }
+// A building: all floors lie side by side in one plane, of which one floor is shown.
+function openFloors(whole) {
+    if (!floors) return show(whole);
+    const select = byId("floor"), showFloor = () => show({ ...whole, domain: whole, isFloor: true, ...floors[select.selectedIndex] });
+    select.replaceChildren(...floors.map((_, k) => Object.assign(document.createElement("option"), { textContent: String(k) })));
+    select.addEventListener("change", showFloor);
+    showFloor();
+}
+try { openFloors(file ? openFile(bytesOf(file), name, walls) : openModule()); } catch (error) { refuse(name, error); }

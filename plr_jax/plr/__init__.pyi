@@ -20,6 +20,5 @@ from .growth import maximum_depth as maximum_depth
 from .leaves.continuous import Continuous as Continuous
 from .leaves.plane import Plane as Plane
 from .portable.numpy import NumpyPLR as NumpyPLR
-from .portable.numpy import load_numpy as load_numpy
 from .sampling import CellFit as CellFit
 from .sampling import least_squares as least_squares

@@ -27,6 +27,7 @@ MOST_BYTES = 2**28  # largest size of a file
 MOST_AXES = 255  # most axes of a domain
 MAGIC = b"P\xb5"  # first bytes of every file of this version
 GRID_MAGIC = b"PGP\n"  # first bytes of files of distances between cells of a grid (``pairs/FORMAT.md``)
+BUILDING_MAGIC = b"PBD\n"  # first bytes of files of buildings: floors and links, then a file of this version
 _EARLIER = b"PLR\n", b"CPL\n"  # first bytes of files of earlier versions
 MOST_LAYERS = 32
 _MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
@@ -214,7 +215,7 @@ def read_bytes(path: str | os.PathLike) -> bytes:
     """Read at most ``MOST_BYTES + 1`` bytes of a file, or at most 4,096 if it is no file of a PLR or of pairs."""
     with open(path, "rb") as file:
         data = file.read(_START)
-        if data.startswith((MAGIC, GRID_MAGIC)):  # another file may be endless, such as a device
+        if data.startswith((MAGIC, GRID_MAGIC, BUILDING_MAGIC)):  # another file may be endless, such as a device
             data += file.read(MOST_BYTES + 1 - len(data))
         return data
 

@@ -1,3 +1,6 @@
+from ._buildings import is_building as is_building
+from ._buildings import read_building as read_building
+from ._buildings import save_building as save_building
 from ._grids import read_cells as read_cells
 from ._grids import read_map as read_map
 from ._grids import read_volume as read_volume

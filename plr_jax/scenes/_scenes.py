@@ -44,7 +44,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     scene = {
         "format": format_name(_KIND),
         "version": max(1 if weight is None else 2, *(_SHAPES[entry["shape"]][2] for entry in entries)),
-        "workspace": _workspace_entry(problem.workspace),
+        "workspace": workspace_entry(problem.workspace),
         "robots": entries,
         "starts": problem.starts.tolist(),
         "goals": problem.goals.tolist(),
@@ -83,7 +83,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         robots = [_read_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = scene.get("rotation_weight") if scene["version"] > 1 else None
         weight = None if weight is None else as_finite("rotation_weight", weight)
-        return Problem(_read_workspace(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
+        return Problem(read_workspace_entry(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 
 def is_scene(path: str | os.PathLike[str]) -> bool:
@@ -116,7 +116,7 @@ def _read_robot(i: int, entry: Any, version: int) -> Robot:
         raise ValueError(f"robot {i}: {error}") from None
 
 
-def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
+def workspace_entry(workspace: Workspace) -> dict[str, Any]:
     obstacles = []
     for polygon in shapely.get_parts(workspace.obstacles):
         if not polygon.is_empty:
@@ -126,7 +126,7 @@ def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
     return {"bounds": bounds, "squeeze": workspace.squeeze, "obstacles": obstacles}
 
 
-def _read_workspace(entry: Any) -> Workspace:
+def read_workspace_entry(entry: Any) -> Workspace:
     """Make the workspace of a scene from its entry in a decoded JSON file."""
     keys = ("bounds", "obstacles", "squeeze")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):

@@ -4,6 +4,7 @@ from itertools import count
 
 import numpy as np
 import pytest
+from building_scenes import two_floors
 from cli_helpers import done, mistake, run
 from PIL import Image
 
@@ -151,3 +152,21 @@ def test_radius_grows_obstacles(path, drawn):
     assert np.abs(plr.numpy()(x) - VisibilityGraph(workspace, (0.06, 0.07))(x)).max() <= plr.max_error
     done("plot", path, "--kind", "error", "-o", path.with_suffix(".png"))
     assert drawn == [("error", len(workspace.obstacles), [0.06, 0.07])]
+
+
+def test_buildings_are_built_and_queried_by_floor(path, tmp_path):
+    building = two_floors()
+    scenes.save_building(building, file := tmp_path / "home.json")
+    assert "proven" in done("build", file, "-o", path, "--goal", "0,10,1", "--leaf", "cone", "--max-bytes", 1500)
+    assert path.stat().st_size <= 1500 + 300 and load(path).plane.label == str(file)
+    (tmp_path / "x.csv").write_text("floor,x,y\n1,5,6\n0,2,9\n0,10,1\n7,1,1\n0.5,1,1\n")
+    rows = np.genfromtxt(done("query", path, tmp_path / "x.csv", "--which", "--bounds").splitlines(), delimiter=",")
+    exact = building.oracle(0, (10, 1))
+    np.testing.assert_allclose(rows[:3, 0], exact([1, 0, 0], [(5, 6), (2, 9), (10, 1)]), atol=0.3)
+    assert rows[:, 3].tolist() == [2, -1, -1, -2, -2] and np.isnan(rows[3:, :3]).all()
+    assert "BuildingPLR" in done("info", path)
+    done("view", path, "-o", tmp_path / "home.html")
+    done("export", path, "-o", tmp_path / "home.h")
+    assert "home_distance(int floor" in (tmp_path / "home.h").read_text()
+    assert "3 numbers FLOOR,X,Y" in mistake("build", file, "-o", path, "--goal", "10,1")
+    assert "read without options" in mistake("build", file, "-o", path, "--goal", "0,10,1", "--radius", 1)

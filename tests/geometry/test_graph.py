@@ -27,7 +27,7 @@ def test_dijkstra_equals_networkx(graph):
     for a, b, weight in exported.edges(data="weight"):
         assert weight == np.linalg.norm(np.subtract(*graph.vertices[[a, b]]))
     expected = nx.single_source_dijkstra_path_length(exported, 0)
-    distances, parents = dijkstra(graph, 0)
+    distances, parents = dijkstra(graph.adjacency, 0)
     np.testing.assert_allclose(distances, [expected.get(i, np.inf) for i in range(len(distances))], atol=1e-12)
     assert parents[0] < 0 and (parents[np.isinf(distances)] < 0).all()
     places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}

@@ -5,6 +5,7 @@ from base64 import b64encode
 
 import numpy as np
 import pytest
+from building_scenes import two_floors
 from hostile_files import hostile
 from hostile_readers import READERS, Reader
 from pair_helpers import serpentine
@@ -91,6 +92,21 @@ def test_paths_lead_to_goal_with_shown_length(name, functions, browser, tmp_path
         slack = 0.05 if name == "planes" else 1e-3
         assert length < exact * (1 + slack) + slack
     assert arrived == 20 if name != "planes" else arrived >= 12  # the slope of planes leads into some walls
+
+
+def test_page_of_a_building_shows_one_floor(browser, tmp_path):
+    building = two_floors()
+    plr = building.oracle(0, (10, 1)).construct(max_bytes=1500, certified=True)
+    opened(browser, plot.page(plr, building.plane), tmp_path)
+    for floor, x in ((1, (6.0, 11.0)), (0, (3.0, 8.0))):
+        browser.run(f'byId("floor").selectedIndex = {floor}, byId("floor").dispatchEvent(new Event("change")), 0')
+        place = (np.array(x) + plr.floors.shift[floor]).tolist()
+        browser.run(f'move("start", {place}), byId("celled").click(), 0')
+        says = browser.run('byId("readout").textContent')
+        assert f"From ({x[0]:g}, {x[1]:g}) to the goal" in says
+        assert shown_distance(browser) == pytest.approx(float(plr(floor, x)), rel=1e-3)
+        assert ("It takes link 2, to floor 0" in says) == (floor == 1)
+        assert 0 < browser.run('byId("cells").getAttribute("d").split("M").length - 1') < plr.plane.num_leaves
 
 
 def test_readout_follows_pointer_and_keys(functions, browser, tmp_path):

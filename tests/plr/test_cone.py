@@ -315,16 +315,6 @@ def test_sources_too_large_for_floats_raise(x, distance, message):
         store_sources(sources, Box((0, 0), (8 + 2 * x, 8)))
 
 
-@pytest.mark.parametrize(
-    ("distances", "parents", "goals"),
-    [([2, 0], [0, 1], None), ([0, 0], [0, 1], [7]), ([1, 0], [1, 1], [7]), ([0, 0, 0], [0, 0, 2], [7, 8])],
-)
-def test_sources_that_are_their_own_parents_are_goals(distances, parents, goals):
-    columns = np.array(distances, float), np.array(parents), None if goals is None else np.array(goals)
-    with pytest.raises(ValueError, match="own parents must be goals"):
-        Sources(np.zeros((len(parents), 2)), *columns)
-
-
 @pytest.mark.parametrize("width", [2.0**26, 1e17])
 def test_sources_of_wide_domains_are_read_as_written(width):
     sources = sources_along(width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]]), np.array([0, 0, 1]))

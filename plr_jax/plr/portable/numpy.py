@@ -1,6 +1,5 @@
 """A reader of PLR files that needs only NumPy and follows the arithmetic of the format (``FORMAT.md``)."""
 
-import os
 from collections.abc import Callable
 from functools import cache, cached_property, reduce
 from math import floor, sqrt
@@ -11,10 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
-from plr_jax._files import file_path
 from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
-from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside
 from plr_jax.plr.leaves import as_sourced, goal_of_leaves, require_goals
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
@@ -413,16 +410,3 @@ class NumpyPLR:
 
 def _as_indices(numbers: np.ndarray) -> Any:
     return np.where(numbers >= 0, numbers, -1).astype(np.int64)[()]
-
-
-def load_numpy(path: str | os.PathLike) -> NumpyPLR:
-    """Read a PLR that :func:`save` wrote, without importing JAX; ``OSError`` if the file cannot be read.
-
-    ``ValueError`` if this release cannot read the file as a PLR to fixed goals, for example a file with distances
-    between any two points.
-    """
-    path = file_path(path)
-    try:
-        return NumpyPLR(read_bytes(path))
-    except ValueError as error:
-        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

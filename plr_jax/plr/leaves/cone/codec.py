@@ -133,9 +133,10 @@ def store_sources(
     index[order] = np.cumsum(is_new) - 1
     parent = index[parents[kept]]
     is_root = parent == np.arange(len(kept))
-    goals = None if sources.goals is None else sources.goals[kept[is_root]]
+    goals = None if sources.roots is None else sources.roots[kept[is_root]]
+    root_offset = np.where(is_root, sources.distances[kept], 0).astype(np.float32).astype(np.float64)
     num_fine = int(np.count_nonzero(is_fine[kept]))
-    return StoredSources(num_fine, exponent, fraction, code[kept], parent, np.zeros(len(kept)), goals), index
+    return StoredSources(num_fine, exponent, fraction, code[kept], parent, root_offset, goals), index
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
@@ -319,17 +320,20 @@ class ConeFiles:
         leaf = np.flatnonzero(source >= 0)
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]
-        # 2. Keep the apexes of leaves, their parents, the parents of these, and so on.
+        # 2. Keep the apexes of leaves, their parents, the parents of these, and so on; also where paths continue.
         is_kept, added = np.zeros(len(sources.parents), bool), source
         while len(added):
             is_kept[added] = True
-            added = sources.parents[added]
+            ahead = (
+                [sources.parents[added]] if sources.exits is None else [sources.parents[added], sources.exits[added]]
+            )
+            added = np.unique(np.concatenate(ahead))
             added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
-        # 3. Encode them. Goals are the first sources.
+        # 3. Encode them.
         columns = sources.points[kept], sources.distances[kept], np.searchsorted(kept, sources.parents[kept])
-        goals = None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]]
-        stored, index = store_sources(Sources(*columns, goals), self.domain, self._is_off[kept])
+        roots = None if sources.roots is None else sources.roots[kept]
+        stored, index = store_sources(Sources(*columns, roots), self.domain, self._is_off[kept])
         return StoredCones(stored, index[np.searchsorted(kept, source)])
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:

@@ -1,0 +1,9 @@
+"""Buildings: several floors joined by links such as stairs, lifts, and doors that open one way.
+
+All floors lie side by side in one *plane* (``floors.py``), where links are arcs of the visibility graph. So what this
+package does in the plane, it does for buildings: exact distances (``building.py``), PLRs (``building_plr.py``).
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the list is in __init__.pyi

@@ -1,0 +1,212 @@
+"""Exact distances in buildings: floors that links join, such as stairs, lifts and one-way doors."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import shapely
+from jaxtyping import Int
+
+from plr_jax._arrays import PickledWithoutCaches, as_points, set_fields, shortened
+from plr_jax._types import ArrayLike, Distances
+from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
+from plr_jax.geometry.corners import CornerVisibility, corner_visibility, with_places
+from plr_jax.geometry.graph import Arcs
+from plr_jax.geometry.workspace import Workspace, require_workspace
+from plr_jax.oracles._several_goals import NearestGoal
+from plr_jax.oracles._visibility_graph import NearestPaths, VisibilityGraph
+
+if TYPE_CHECKING:
+    from plr_jax.buildings.building_plr import BuildingPLR
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Building(PickledWithoutCaches):
+    """Floors, and the links between them, such as stairs, lifts, escalators, one-way doors and teleporters.
+
+        building = plr_jax.Building([ground, first], [plr_jax.Link((0, (2, 3)), (1, (2, 4)), cost=9)])
+        oracle = building.oracle(1, (8, 1))  # exact distances to a goal on floor 1
+        oracle(0, x)  # (n,), from points x (n, 2) of floor 0
+
+    Args:
+        floors: A ``Workspace`` for each floor, all with one ``squeeze``. Their coordinates need not match.
+        links: ``Link``s, whose ends lie in free space.
+
+    Raises:
+        ValueError: If an argument is invalid. The message names the link.
+    """
+
+    floors: tuple[Workspace, ...] = field(repr=False)
+    links: tuple[Link, ...] = field(repr=False)
+
+    def __init__(self, floors: Iterable[Workspace], links: Iterable[Link] = ()):
+        all_floors, all_links = tuple(floors), tuple(links)
+        for floor in all_floors:
+            require_workspace(floor)
+        if len({floor.squeeze for floor in all_floors}) != 1:
+            raise ValueError(f"A building needs one or more floors with equal squeeze, got {shortened(all_floors)}.")
+        set_fields(self, floors=all_floors, links=all_links)
+        for i, link in enumerate(all_links):
+            if not isinstance(link, Link):
+                raise ValueError(f"links must be plr_jax.Link(start, end, cost), got {shortened(link)} at {i}.")
+            self.require_free(f"The start of link {i}", link.start)
+            self.require_free(f"The end of link {i}", link.end)
+
+    def __repr__(self) -> str:
+        return f"Building({len(self.floors)} floors, {len(self.links)} links)"
+
+    def require_free(self, name: str, place: Place) -> None:
+        floor, point = place
+        if floor >= len(self.floors):
+            raise ValueError(f"{name} must be on a floor from 0 to {len(self.floors) - 1}, got floor {floor}.")
+        if not self.floors[floor].is_free_to_tolerance(np.array([point]))[0]:
+            raise ValueError(f"{name} must be in free space, got {point} on floor {floor}: move it.")
+
+    @cached_property
+    def plane_floors(self) -> Floors:
+        """The floors, side by side in one plane, and the links."""
+        lo, hi = (np.stack([getattr(floor.bounds, name) for floor in self.floors]) for name in ("lo", "hi"))
+        return Floors(lo, hi, self.links)
+
+    @cached_property
+    def plane(self) -> Workspace:
+        """The workspace of all floors, side by side."""
+        pairs = zip(self.floors, self.plane_floors.shift, strict=True)
+        parts = [shapely.transform(floor.free_space, lambda x, shift=shift: x + shift) for floor, shift in pairs]
+        return Workspace.from_polygons(parts, self.plane_floors.domain, squeeze=self.floors[0].squeeze)
+
+    @cached_property
+    def corners(self) -> CornerVisibility:
+        """The corners of all floors and the ends of links, and what they see: all goals share them."""
+        corners, mesh, arcs = corner_visibility(self.plane), self.plane.triangulation, self.plane_floors.arcs
+        if not arcs:
+            return corners
+        # Ends of links at one place, up to the rounding of the triangulation, are one corner.
+        ends = np.stack([self._placed(place) for arc in arcs for place in (arc.start, arc.end)])
+        _, first, place = np.unique(mesh.place(ends).x, axis=0, return_index=True, return_inverse=True)
+        lengths = np.array([arc.cost for arc in arcs])
+        return with_places(corners, mesh, ends[first], Arcs(place[0::2], place[1::2], lengths))
+
+    def in_plane(self, floor: ArrayLike, x: ArrayLike) -> np.ndarray:
+        """Return points of floors as points of ``plane``; points of 32-bit floats are settled on their floor."""
+        if np.asarray(x).dtype == np.float32:
+            floor, x = np.broadcast_arrays(np.asarray(floor)[..., None], x)
+            settled = x.astype(np.float64)
+            for k in np.unique(floor[..., 0]).tolist():
+                if 0 <= k < len(self.floors):
+                    rows = floor[..., 0] == k
+                    settled[rows] = self.floors[k].settled(x[rows])
+            floor, x = floor[..., 0], settled
+        return self.plane_floors.in_plane(floor, x)
+
+    def _placed(self, place: Place) -> np.ndarray:
+        """Return a free place as a point of ``plane``; by rounding, it may lie outside the bounds."""
+        floor, point = place
+        bounds = self.floors[floor].bounds
+        return self.in_plane(floor, np.clip(point, bounds.lo, bounds.hi))
+
+    def oracle(self, floor: Any, goal: ArrayLike | None = None) -> "BuildingOracle":
+        """Return the exact distance to a goal ``(x, y)`` on a floor, over floors and links.
+
+        For the nearest of several goals, pass a list of pairs: ``building.oracle([(0, (1, 2)), (3, (4, 5))])``. All
+        oracles of a building share its preprocessing. ``ValueError`` if a goal is not in free space.
+        """
+        pairs = [(floor, goal)] if goal is not None else floor
+        if not isinstance(pairs, Sequence) or not pairs:
+            raise ValueError(
+                f"oracle needs a floor and a goal, or a list of pairs (floor, (x, y)), got {shortened(pairs)}."
+            )
+        goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
+        for i, place in enumerate(goals):
+            self.require_free(f"Goal {i}", place)
+        points = np.stack([self._placed(place) for place in goals])
+        return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, np.zeros(len(goals))))
+
+
+@dataclass(frozen=True, eq=False)
+class BuildingOracle:
+    """Exact distance from points of a building's floors to the nearest of one or more goals.
+
+    :meth:`Building.oracle` makes it. A path may take any number of links.
+
+    Attributes:
+        building: The building.
+        goals: Floor and point of each goal.
+        paths: The distance function in ``building.plane``.
+    """
+
+    building: Building = field(repr=False)
+    goals: tuple[Place, ...]
+    paths: NearestPaths = field(repr=False)
+    is_lower_bound: ClassVar[bool] = True
+
+    @cached_property
+    def floors(self) -> Floors:
+        return replace(self.building.plane_floors, num_goals=len(self.goals))
+
+    def __call__(self, floor: ArrayLike, x: ArrayLike) -> Distances:
+        """Return the distance from points ``x`` ``(n, 2)`` of floors, an index or ``(n,)``, to the nearest goal.
+
+        Distances ``(n,)`` are lengths plus the costs of links, in the units of the floors; ``inf`` without a path, in
+        obstacles, and outside the floor's bounds. ``ValueError`` for another shape or an unknown floor.
+        """
+        return self.paths(self.building.in_plane(floor, x))
+
+    def which(self, floor: ArrayLike, x: ArrayLike) -> Int[np.ndarray, " n"]:
+        """Return the index of the next link on each shortest path: -1 to walk to the goal, -2 without a path."""
+        return self.floors.next_links(self.paths.which(self.building.in_plane(floor, x)))
+
+    def shortest_path(self, floor: int, x: ArrayLike) -> Route:
+        """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal."""
+        start = self.building.in_plane(floor, as_points("x", [x], 2))
+        (source,), _ = self.paths.first_turns(start)
+        sources, floors, legs, arcs = self.paths.sources, self.floors, [], []
+        if source < 0:
+            return floors.route([], [])
+        points = [start[0]]
+        while True:
+            points.append(sources.points[source])
+            if (root := self.paths.roots[source]) < 0:  # the path goes on to the next corner
+                source = sources.parents[source]
+                continue
+            path = np.stack(points)
+            legs.append((int(floor), path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]))
+            if root < len(self.goals):
+                return floors.route(legs, arcs)
+            arcs.append(int(root) - len(self.goals))
+            source, floor = self.paths.exits[source], floors.arcs[arcs[-1]].end[0]
+            points = []
+
+    def __getitem__(self, floor: int) -> NearestGoal:
+        """Return the distance function of one floor, from points ``(n, 2)``; ``construct`` and others take it.
+
+        Its goals are the goals on the floor and the links that shortest paths take, with what the path costs from
+        there as offsets. ``ValueError`` if no goal can be reached from the floor.
+        """
+        building, sources = self.building, self.paths.sources
+        if not 0 <= floor < len(building.floors):
+            raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
+        bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
+        root = np.flatnonzero(self.paths.roots >= 0)
+        points = sources.points[root] - shift
+        clipped = np.clip(points, bounds.lo, bounds.hi)
+        here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
+        if not here.any():
+            raise ValueError(f"No goal can be reached from floor {floor}.")
+        root, (first, *others) = root[here], clipped[here]
+        graph: Any = VisibilityGraph(building.floors[floor], first)
+        return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
+
+    def construct(self, leaf: Any = "cone", **options: Any) -> "BuildingPLR":
+        """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
+
+        For bounds, pass ``certified=True``. A budget is shared by all floors, so that the largest errors shrink.
+        Raises what :func:`construct` raises.
+        """
+        from plr_jax.buildings.building_plr import BuildingPLR  # imports JAX
+        from plr_jax.plr import construct
+
+        plr = construct(self.paths, self.building.plane.bounds, leaf=leaf, **options)
+        return BuildingPLR(self.floors, plr)

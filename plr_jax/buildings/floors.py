@@ -1,0 +1,250 @@
+"""The floors of a building as parts of one plane, and the links between floors. Needs only NumPy."""
+
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, field
+from functools import cached_property, lru_cache
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_queries, require_integer, set_fields, shortened
+from plr_jax._types import ArrayLike
+from plr_jax.geometry.box import Box
+from plr_jax.plr.container import BUILDING_MAGIC
+
+Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
+Corners: TypeAlias = Float[np.ndarray, "floors 2"]
+_MOST_BYTES = 2**24  # of the floors in a file, decoded
+NO_PATH = -2  # instead of the index of the next link
+_UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
+
+
+def as_place(name: str, value: Any) -> Place:
+    """Check a pair of a floor's index and a finite point ``(x, y)``."""
+    if not (isinstance(value, tuple | list) and len(value) == 2):
+        raise ValueError(f"{name} must be a pair (floor, (x, y)), got {shortened(value)}.")
+    require_integer(f"The floor of {name}", value[0], 0)
+    x, y = as_finite_point(f"The point of {name}", value[1], 2).tolist()
+    return int(value[0]), (x, y)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A way between two points of a building that has its own cost: stairs, a lift, a one-way door, a teleporter.
+
+    Args:
+        start: The floor, an index, and the point ``(x, y)`` where the link starts.
+        end: The floor and the point where it ends; the floor may be the same.
+        cost: Cost of taking the link, in the units of the floors, finite and at least 0.
+        both_ways: Whether the link can be taken from its end to its start, too, at the same cost.
+
+    Raises:
+        ValueError: If an argument is invalid.
+    """
+
+    start: Place
+    end: Place
+    cost: float
+    both_ways: bool = True
+
+    def __post_init__(self) -> None:
+        name = f"the link from {shortened(self.start)} to {shortened(self.end)}"
+        set_fields(
+            self,
+            start=as_place(f"The start of {name}", self.start),
+            end=as_place(f"The end of {name}", self.end),
+            cost=as_finite(f"The cost of {name}", self.cost),
+            both_ways=as_bool(f"both_ways of {name}", self.both_ways),
+        )
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A link in one direction."""
+
+    link: int
+    start: Place
+    end: Place
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A path through a building.
+
+    Attributes:
+        legs: Pairs ``(floor, points)``: a path on one floor, ``(m, 2)``. The legs before and after a link end and
+            start at the link's ends. Without a path there is no leg.
+        links: Indices of the links between the legs, in order.
+        length: Length of all legs plus the costs of links, in the units of the floors; ``inf`` without a path.
+    """
+
+    legs: list[tuple[int, Float[np.ndarray, "m 2"]]]
+    links: list[int]
+    length: float
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """The floors of a building, side by side in one plane, and the links between them.
+
+    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie inside of ``domain``, a grid
+    of equal cells, and are at least ``unit`` apart. Each shift is a multiple of a unit, so that most coordinates stay
+    multiples of a centimeter, for example.
+    """
+
+    lo: Corners  # of the floors' bounds
+    hi: Corners
+    links: tuple[Link, ...]
+    num_goals: int = 0
+
+    @cached_property
+    def _layout(self) -> tuple[Corners, Box]:
+        # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
+        #    a partition do not reach into two floors once they are small.
+        size = (self.hi - self.lo).max(axis=0)
+        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNITS * size.max())))
+        cell = (np.ceil(size / unit) + 2) * unit
+        bits = (len(self.lo) - 1).bit_length()
+        shapes = [(1 << a, 1 << bits - a) for a in range(bits + 1)]
+        columns, rows = min(shapes, key=lambda shape: (cell * shape).max())
+        # 2. Floors fill the grid row by row.
+        row, column = np.divmod(np.arange(len(self.lo)), columns)
+        corner = np.stack([column, row], axis=1) * cell
+        return corner + unit - np.floor(self.lo / unit) * unit, Box((0.0, 0.0), cell * (columns, rows))
+
+    @property
+    def shift(self) -> Corners:
+        return self._layout[0]
+
+    @property
+    def domain(self) -> Box:
+        return self._layout[1]
+
+    @cached_property
+    def arcs(self) -> list[Arc]:
+        """All links from their start to their end and, if they lead both ways, once more in reverse."""
+        arcs = []
+        for i, link in enumerate(self.links):
+            arcs.append(Arc(i, link.start, link.end, link.cost))
+            arcs += [Arc(i, link.end, link.start, link.cost)] * link.both_ways
+        return arcs
+
+    def in_plane(self, floor: ArrayLike, x: ArrayLike) -> Any:
+        """Return points ``x`` ``(..., 2)`` of floors ``(...)`` as points of the plane, NumPy or JAX as given.
+
+        NumPy's points come back with 64 bits, exact up to their rounding. Points outside their floor's bounds become
+        ``inf``. ``ValueError`` if ``floor`` is no integer array, or a NumPy array with an index of no floor; inside
+        ``jit`` such points become NaN.
+        """
+        floor, x = (a if hasattr(a, "__array_namespace__") else np.asarray(a) for a in (floor, x))
+        module = next((a.__array_namespace__() for a in (x, floor) if not isinstance(a, np.ndarray)), np)
+        count = len(self.lo)
+        if floor.dtype.kind not in "iu":
+            raise ValueError(f"floor must be an integer or an array of integers, got {shortened(floor)}.")
+        if module is np:
+            x = as_queries(x, 2)
+            if ((floor < 0) | (floor >= count)).any():
+                raise ValueError(f"floor must be at least 0 and less than {count}, got {shortened(floor)}.")
+        elif x.ndim == 0 or x.shape[-1] != 2:
+            raise ValueError(f"Points must have shape (..., 2), got {x.shape}.")
+        # Compare in 32 bits: rounding keeps the order, so that no point of a floor is outside by rounding.
+        lo, hi = (module.asarray(corner.astype(np.float32))[floor] for corner in (self.lo, self.hi))
+        inside = ((x.astype(np.float32) >= lo) & (x.astype(np.float32) <= hi)).all(axis=-1)
+        if module is np:
+            p = x.astype(np.float64) + self.shift[floor]
+        else:
+            x = x if x.dtype.kind == "f" else x.astype(np.float32)
+            first = self.shift.astype(np.float32)
+            p = x + module.asarray(first)[floor]
+            if (rest := self.shift - first).any():  # floors far from the origin: the sum so far is exact
+                p = p + module.asarray(rest.astype(np.float32))[floor]
+            p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
+        return module.where(inside[..., None] | module.isnan(p), p, np.inf)
+
+    def next_links(self, root: Any) -> Any:
+        """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""
+        links = np.array([-1] * self.num_goals + [arc.link for arc in self.arcs] + [NO_PATH])
+        return root.__array_namespace__().asarray(links)[root]
+
+    def route(self, legs: Sequence[tuple[int, np.ndarray]], arcs: Sequence[int]) -> Route:
+        """Return the route of legs ``(floor, points of the plane)``, joined by the arcs of the given indices."""
+        if not legs:
+            return Route([], [], np.inf)
+        walked = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in legs)
+        length = float(walked) + sum(self.arcs[arc].cost for arc in arcs)
+        legs = [(floor, points - self.shift[floor]) for floor, points in legs]
+        return Route(legs, [self.arcs[arc].link for arc in arcs], length)
+
+    @cached_property
+    def text(self) -> str:
+        """The floors and links as JSON."""
+        links = [astuple(link) for link in self.links]
+        content = {"lo": self.lo.tolist(), "hi": self.hi.tolist(), "links": links, "goals": self.num_goals}
+        return json.dumps(content, separators=(",", ":"))
+
+    @staticmethod
+    @lru_cache(maxsize=64)
+    def of_text(text: str) -> "Floors":
+        """Decode the JSON of :attr:`text`; ``ValueError`` if it is invalid."""
+        try:
+            content = json.loads(text)
+            lo, hi = (np.array(content[name], np.float64) for name in ("lo", "hi"))
+            floors = Floors(lo, hi, tuple(Link(*link) for link in content["links"]), content["goals"])
+            require_integer("goals", floors.num_goals, 0)
+            dims = {Box(*corners).dim for corners in zip(lo, hi, strict=True)}
+            ends = [place[0] for link in floors.links for place in (link.start, link.end)]
+            if dims != {2} or max(ends, default=0) >= len(lo):
+                raise ValueError("a floor is no box in the plane, or a link leads to an unknown floor")
+        except (TypeError, KeyError, ValueError, RecursionError) as error:
+            raise ValueError(f"its floors and links are invalid: {error}") from None
+        return floors
+
+    def to_bytes(self) -> bytes:
+        """Encode the floors for a file: compressed :attr:`text`, after its size."""
+        data = zlib.compress(self.text.encode(), 9)
+        return BUILDING_MAGIC + len(data).to_bytes(4, "little") + data
+
+    @staticmethod
+    def read(data: bytes) -> "tuple[Floors, bytes]":
+        """Decode the floors at the beginning of the file of a building; also return the rest of the file."""
+        start = len(BUILDING_MAGIC) + 4
+        end = start + int.from_bytes(data[len(BUILDING_MAGIC) : start], "little")
+        try:  # text longer than the limit is cut off, and then is no JSON
+            text = zlib.decompressobj().decompress(data[start:end], _MOST_BYTES).decode()
+        except (zlib.error, UnicodeDecodeError) as error:
+            raise ValueError(f"its floors and links are damaged: {error}") from None
+        return Floors.of_text(text), data[end:]
+
+
+@dataclass(frozen=True, eq=False)
+class OnFloors:
+    """A base class of functions of places, pairs ``(floor, x)``, that answer in the plane of all floors.
+
+    Attributes:
+        floors: Bounds of the floors, the links, and ``shift``.
+        plane: The function in the plane: point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
+    """
+
+    floors: Floors = field(repr=False)
+    plane: Any
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the file in bytes."""
+        return len(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Return the bytes of the file: the floors and links, then the file of ``plane``."""
+        return self.floors.to_bytes() + self.plane.to_bytes()
+
+    # JAX needs both functions for the subclasses that are pytrees.
+    def tree_flatten(self) -> tuple[tuple[Any], str]:
+        return (self.plane,), self.floors.text
+
+    @classmethod
+    def tree_unflatten(cls, text: str, children: tuple[Any]) -> "OnFloors":
+        return cls(Floors.of_text(text), *children)

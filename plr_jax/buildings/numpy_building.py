@@ -1,0 +1,103 @@
+"""PLRs of whole buildings that are queried in NumPy, without JAX, and exported as C."""
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from plr_jax._files import file_path
+from plr_jax._types import ArrayLike
+from plr_jax.buildings.floors import Floors, OnFloors
+from plr_jax.geometry.box import Box
+from plr_jax.plr.container import BUILDING_MAGIC, read_bytes
+from plr_jax.plr.frame import is_far
+from plr_jax.plr.portable.numpy import NumpyPLR
+from plr_jax.plr.portable.writers import wrap_entries
+
+
+@dataclass(frozen=True, eq=False)
+class NumpyBuildingPLR(OnFloors):
+    """Distance to the nearest of a building's goals, over floors and links, without JAX: ``f(floor, x)``.
+
+    :func:`load_numpy` or :meth:`BuildingPLR.numpy` makes it. ``plane`` is a :class:`NumpyPLR`.
+    """
+
+    def __call__(self, floor: ArrayLike, x: ArrayLike) -> Any:
+        """Return the distance ``(...)`` at points ``x`` ``(..., 2)`` of floors, an index or an array ``(...)``.
+
+        The distance includes the costs of links. It is ``inf`` outside the floor's bounds and where the PLR of the
+        plane answers ``inf``, NaN where a coordinate is NaN. ``ValueError`` for points of another shape or an unknown
+        floor; inside ``jit``, an unknown floor gives NaN.
+        """
+        return self.plane(self.floors.in_plane(floor, x))
+
+    def bounds(self, floor: ArrayLike, x: ArrayLike) -> tuple[Any, Any]:
+        """Return proven lower and upper bounds ``(...)`` at points of free space; see :meth:`PLR.bounds`."""
+        return self.plane.bounds(self.floors.in_plane(floor, x))
+
+    def which(self, floor: ArrayLike, x: ArrayLike) -> Any:
+        """Return the index ``(n,)`` of the link that paths take next: -1 to walk to the goal, -2 without a path.
+
+        Where two links are about equally good, the answer may be the other one. Needs cones, else ``ValueError``.
+        """
+        return self.floors.next_links(self.plane.which(self.floors.in_plane(floor, x)))
+
+    @property
+    def max_error(self) -> float | None:
+        """Proven upper bound of the error; None without a proof."""
+        return self.plane.max_error
+
+    def c_header(self, name: str, compact: bool = False) -> str:
+        """Return a C99 header with ``float NAME_distance(int floor, const float x[2])``; see :meth:`PLR.c_header`.
+
+        Coordinates are doubles if a floor is far from the origin. Results equal those of :meth:`numpy`, bit for bit.
+        An unknown floor gives NAN.
+        """
+        floors, count = self.floors, len(self.floors.lo)
+        far = any(is_far(Box(*bounds)) for bounds in zip(floors.lo, floors.hi, strict=True))
+        of_type = "double" if far else "float"
+        header = f"{name}_BUILDING_H"
+        lines = [self.plane.c_header(f"{name}_plane", compact), f"#ifndef {header}", f"#define {header}"]
+        lo, hi = floors.lo.astype(np.float32), floors.hi.astype(np.float32)
+        for table, rows in {"float {}_lo": lo, "float {}_hi": hi, "double {}_shift": floors.shift}.items():
+            entries = (f"{{{x}, {y}}}" for x, y in rows.astype(str))
+            lines += [f"static const {table.format(name)}[{count}][2] = {{", *wrap_entries(entries), "};"]
+        lines += [
+            f"/* Distance to the goal from a point of floor 0 to {count - 1}: INFINITY outside the floor. */",
+            f"static inline float {name}_distance(int floor, const {of_type} x[2])",
+            "{",
+            f"    if (floor < 0 || floor >= {count} || x[0] != x[0] || x[1] != x[1]) {{",
+            "        return NAN;",
+            "    }",
+            "    float p[2];",
+            "    for (int axis = 0; axis < 2; axis++) {",
+            "        const float along = (float)x[axis];",
+            f"        if (!(along >= {name}_lo[floor][axis] && along <= {name}_hi[floor][axis])) {{",
+            "            return INFINITY;",
+            "        }",
+            f"        p[axis] = (float)(x[axis] + {name}_shift[floor][axis]);",
+            "    }",
+            f"    return {name}_plane_distance(p);",
+            "}",
+            "#endif",
+            "",
+        ]
+        return "\n".join(lines)
+
+
+def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:
+    """Read a PLR, of a building or not, that :func:`save` wrote, without importing JAX.
+
+    ``OSError`` if the file cannot be read. ``ValueError`` if this release cannot read the file as a PLR to fixed
+    goals, for example a file with distances between any two points.
+    """
+    path = file_path(path)
+    try:
+        data = read_bytes(path)
+        if not data.startswith(BUILDING_MAGIC):
+            return NumpyPLR(data)
+        floors, rest = Floors.read(data)
+        return NumpyBuildingPLR(floors, NumpyPLR(rest))
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

@@ -1,0 +1,39 @@
+"""Distances between any two places of a building, over floors and links."""
+
+from dataclasses import dataclass
+
+import jax
+from jaxtyping import Array, Float
+
+from plr_jax._compiled import serializable
+from plr_jax._types import ArrayLike
+from plr_jax.buildings.floors import OnFloors
+
+
+@serializable
+@jax.tree_util.register_pytree_node_class
+@dataclass(frozen=True, eq=False)
+class BuildingPairs(OnFloors):
+    """Distances between any two places of a building, made by :func:`construct_pairs` or :func:`load`.
+
+        pairs = plr_jax.construct_pairs(building)
+        pairs((0, x), (2, y))  # (n,), from points x (n, 2) of floor 0 to points y of floor 2
+
+    A path may take links. With one-way links, the distance back may differ. It is a pytree, as ``plane`` is, a
+    :class:`PairPLR` whose methods ``prepared`` and ``to`` refuse links.
+    """
+
+    def __call__(self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike]) -> Float[Array, "*batch"]:
+        """Return the distance from places ``x`` to places ``y``, ``(...)``, costs of links included.
+
+        Each is a pair ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
+        distance is ``inf`` without a path and outside a floor's bounds; errors are those of :func:`construct_pairs`,
+        with the width of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
+        """
+        return self.plane(self.floors.in_plane(*x), self.floors.in_plane(*y))
+
+    def bounds(
+        self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Return proven lower and upper bounds of the distance, ``(...)`` each; see :meth:`PairPLR.bounds`."""
+        return self.plane.bounds(self.floors.in_plane(*x), self.floors.in_plane(*y))
