@@ -8,11 +8,12 @@ unless stated otherwise.
 import math
 import reprlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import reduce
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
@@ -274,6 +275,19 @@ def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     # A slice ends before each item at which the sum of counts reaches or passes a multiple of `most`.
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
+
+
+def batches(rows: Any, size: int) -> Iterator[Any]:
+    """Yield consecutive slices of an array or a list, with at most ``size`` rows each; nothing if it is empty."""
+    return (rows[begin : begin + size] for begin in range(0, len(rows), size))
+
+
+def path_from_root(parents: Sequence[int] | Int[np.ndarray, " n"], node: int) -> list[int]:
+    """Return the nodes of a tree on the path from its root to a node; the root has a negative parent."""
+    path = [node]
+    while (parent := int(parents[path[-1]])) >= 0:
+        path.append(parent)
+    return path[::-1]
 
 
 def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

@@ -75,6 +75,12 @@ class Boundary(PickledWithoutCaches):
     def contact_tree(self) -> shapely.STRtree:
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
+    def touches_contact(self, shapes: Any, distance: float) -> Bool[np.ndarray, " n"]:
+        """Return whether each Shapely shape comes within ``distance`` of a contact."""
+        touches = np.zeros(len(shapes), dtype=bool)
+        touches[self.contact_tree.query(shapes, predicate="dwithin", distance=distance)[0]] = True
+        return touches
+
     def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
         """Project points ``x`` onto their nearest edges; points farther than ``within`` from all edges are left out.
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
-from plr_jax._arrays import index_of
+from plr_jax._arrays import index_of, path_from_root
 from plr_jax._types import Points
 
 if TYPE_CHECKING:
@@ -103,10 +103,7 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
 
     ``vertex`` is an index, and so are ``parents``; the root has a negative parent. Repeated points are left out.
     """
-    vertices = [vertex]
-    while (parent := int(parents[vertices[-1]])) >= 0:
-        vertices.append(parent)
-    path = np.concatenate([start[None], graph.vertices[vertices]])
+    path = np.concatenate([start[None], graph.vertices[path_from_root(parents, vertex)[::-1]]])
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
