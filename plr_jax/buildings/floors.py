@@ -126,7 +126,7 @@ class Floors:
 
     @cached_property
     def arcs(self) -> list[Arc]:
-        """All links from their start to their end and, if they lead both ways, once more in reverse."""
+        """Links from their start to their end and, if they lead both ways, once more in reverse."""
         arcs = []
         for i, link in enumerate(self.links):
             arcs.append(Arc(i, link.start, link.end, link.cost))
