@@ -84,9 +84,9 @@ class Building(PickledWithoutCaches):
         if not arcs:
             return corners
         # Ends of links at one place, up to the rounding of the triangulation, are one corner.
-        ends = np.stack([self._placed(place) for arc in arcs for place in (arc.start, arc.end)])
+        ends = np.stack([self._placed(place) for _, link in arcs for place in (link.start, link.end)])
         _, first, place = np.unique(mesh.place(ends).x, axis=0, return_index=True, return_inverse=True)
-        lengths = np.array([arc.cost for arc in arcs])
+        lengths = np.array([link.cost for _, link in arcs])
         return with_places(corners, mesh, ends[first], Arcs(place[0::2], place[1::2], lengths))
 
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> np.ndarray:
@@ -162,22 +162,8 @@ class BuildingOracle:
         """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal."""
         start = self.building.in_plane(floor, as_points("x", [x], 2))
         (source,), _ = self.paths.first_turns(start)
-        sources, floors, legs, arcs = self.paths.sources, self.floors, [], []
-        if source < 0:
-            return floors.route([], [])
-        points = [start[0]]
-        while True:
-            points.append(sources.points[source])
-            if (root := self.paths.roots[source]) < 0:  # the path goes on to the next corner
-                source = sources.parents[source]
-                continue
-            path = np.stack(points)
-            legs.append((int(floor), path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]))
-            if root < len(self.goals):
-                return floors.route(legs, arcs)
-            arcs.append(int(root) - len(self.goals))
-            source, floor = self.paths.exits[source], floors.arcs[arcs[-1]].end[0]
-            points = []
+        sources, of_sources = self.paths.sources, (self.paths.roots, self.paths.exits)
+        return self.floors.route(int(floor), start[0], int(source), sources.points, sources.parents, *of_sources)
 
     def __getitem__(self, floor: int) -> NearestGoal:
         """Return the distance function of one floor, from points ``(n, 2)``; ``construct`` and others take it.

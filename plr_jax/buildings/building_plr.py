@@ -38,32 +38,17 @@ class BuildingPLR(NumpyBuildingPLR):
         ``building`` is given, whose walls are then tested. A start without a path, or without a free one, has a route
         without legs.
         """
-        plane, sources = self.floors.in_plane(floor, starts), self.plane.stored.sources
-        traces = trace(self.plane, plane, None if building is None else building.plane)
-        of_start = np.broadcast_to(floor, len(traces)).tolist()
-        # 1. Find the source at which each path on the start's floor ends.
-        keys = sources.points @ [1, 1j]
-        order = np.argsort(np.where(sources.is_root, 0, 1), kind="stable")  # prefer roots
-        ends = traces.paths[np.arange(len(traces)), np.maximum(traces.counts, 1) - 1]
-        root = order[index_of(keys[order], ends @ [1, 1j])]
-        # 2. Follow the links: each root has a number, and its path continues at the source at the link's other end.
-        number = np.full(len(keys), -1)
-        number[sources.is_root] = sources.goals
-        routes = []
-        for k, (path, count, last) in enumerate(
-            zip(traces.paths, traces.counts.tolist(), root.tolist(), strict=True)
-        ):
-            legs, arcs = [], []
-            if traces.arrived[k]:
-                legs.append((of_start[k], path[:count]))
-                while (arc := int(number[last]) - self.floors.num_goals) >= 0:
-                    arcs.append(arc)
-                    leg_floor, point = self.floors.arcs[arc].end
-                    points = [np.array(point) + self.floors.shift[leg_floor]]
-                    last = int(np.linalg.norm(sources.points - points[0], axis=1).argmin())
-                    while sources.parent[last] != last:
-                        last = int(sources.parent[last])
-                        points.append(sources.points[last])
-                    legs.append((leg_floor, np.stack(points)))
-            routes.append(self.floors.route(legs, arcs))
-        return routes
+        floors, sources = self.floors, self.plane.stored.sources
+        traces = trace(self.plane, floors.in_plane(floor, starts), None if building is None else building.plane)
+        # 1. Find the source to which each path goes first: its second point, or the start itself.
+        second = traces.paths[np.arange(len(traces)), np.minimum(1, np.maximum(traces.counts, 1) - 1)]
+        first = np.where(traces.arrived, index_of(sources.points @ [1, 1j], second @ [1, 1j]), -1)
+        # 2. Number the roots, and find where their links lead: to the sources nearest to the links' ends.
+        roots, exits = np.full(len(sources.points), -1), np.arange(len(sources.points))
+        roots[sources.is_root] = sources.goals
+        for root in np.flatnonzero(roots >= floors.num_goals):
+            end_floor, end = floors.arcs[roots[root] - floors.num_goals][1].end
+            exits[root] = np.linalg.norm(sources.points - (end + floors.shift[end_floor]), axis=1).argmin()
+        on_sources = sources.points, sources.parent, roots, exits
+        rows = zip(np.broadcast_to(floor, len(traces)).tolist(), traces.paths[:, 0], first.tolist(), strict=True)
+        return [floors.route(*row, *on_sources) for row in rows]

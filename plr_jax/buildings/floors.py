@@ -2,13 +2,12 @@
 
 import json
 import zlib
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_queries, require_integer, set_fields, shortened
 from plr_jax._types import ArrayLike
@@ -16,7 +15,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.container import BUILDING_MAGIC
 
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
+PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
+Sources: TypeAlias = Int[np.ndarray, " sources"]
 _MOST_BYTES = 2**24  # of the floors in a file, decoded
 NO_PATH = -2  # instead of the index of the next link
 _UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
@@ -45,9 +46,9 @@ class Link:
         ValueError: If an argument is invalid.
     """
 
-    start: Place
-    end: Place
-    cost: float
+    start: PlaceLike
+    end: PlaceLike
+    cost: float | int
     both_ways: bool = True
 
     def __post_init__(self) -> None:
@@ -61,16 +62,6 @@ class Link:
         )
 
 
-@dataclass(frozen=True)
-class Arc:
-    """A link in one direction."""
-
-    link: int
-    start: Place
-    end: Place
-    cost: float
-
-
 @dataclass(frozen=True, eq=False)
 class Route:
     """A path through a building.
@@ -82,7 +73,7 @@ class Route:
         length: Length of all legs plus the costs of links, in the units of the floors; ``inf`` without a path.
     """
 
-    legs: list[tuple[int, Float[np.ndarray, "m 2"]]]
+    legs: list[tuple[int, Float[np.ndarray, "_ 2"]]]
     links: list[int]
     length: float
 
@@ -125,12 +116,12 @@ class Floors:
         return self._layout[1]
 
     @cached_property
-    def arcs(self) -> list[Arc]:
-        """Links from their start to their end and, if they lead both ways, once more in reverse."""
+    def arcs(self) -> list[tuple[int, Link]]:
+        """Links and their indices: each link from its start to its end and, if it leads both ways, in reverse."""
         arcs = []
         for i, link in enumerate(self.links):
-            arcs.append(Arc(i, link.start, link.end, link.cost))
-            arcs += [Arc(i, link.end, link.start, link.cost)] * link.both_ways
+            arcs.append((i, link))
+            arcs += [(i, replace(link, start=link.end, end=link.start))] * link.both_ways
         return arcs
 
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> Any:
@@ -167,17 +158,44 @@ class Floors:
 
     def next_links(self, root: Any) -> Any:
         """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""
-        links = np.array([-1] * self.num_goals + [arc.link for arc in self.arcs] + [NO_PATH])
+        links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
         return root.__array_namespace__().asarray(links)[root]
 
-    def route(self, legs: Sequence[tuple[int, np.ndarray]], arcs: Sequence[int]) -> Route:
-        """Return the route of legs ``(floor, points of the plane)``, joined by the arcs of the given indices."""
-        if not legs:
-            return Route([], [], np.inf)
-        walked = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in legs)
-        length = float(walked) + sum(self.arcs[arc].cost for arc in arcs)
-        legs = [(floor, points - self.shift[floor]) for floor, points in legs]
-        return Route(legs, [self.arcs[arc].link for arc in arcs], length)
+    def route(
+        self,
+        floor: int,
+        start: Float[np.ndarray, "2"],
+        source: int,
+        points: Float[np.ndarray, "sources 2"],
+        parents: Sources,
+        roots: Sources,
+        exits: Sources,
+    ) -> Route:
+        """Return the route from a point of the plane, on a floor, to the source that comes first, and on to a goal.
+
+        Sources have ``points``, and ``parents``: the next source. ``roots`` has the number of each root, and -1 for
+        other sources; ``exits`` is the source where a path goes on that takes a root's link. If ``source`` is -1,
+        there is no path.
+        """
+        legs, links, length, path = [], [], 0.0, [start]
+        while source >= 0:
+            path.append(points[source])
+            if roots[source] < 0:
+                source = int(parents[source])
+                continue
+            # The leg ends at a goal, or at a link.
+            leg = np.stack(path)
+            leg = leg[np.append(True, (leg[1:] != leg[:-1]).any(axis=1))]
+            legs.append((floor, leg - self.shift[floor]))
+            length += float(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum())
+            if roots[source] < self.num_goals:
+                return Route(legs, links, length)
+            index, link = self.arcs[roots[source] - self.num_goals]
+            links.append(index)
+            length += link.cost
+            source, (floor, end) = int(exits[source]), link.end
+            path = [end + self.shift[floor]]
+        return Route([], [], np.inf)
 
     @cached_property
     def text(self) -> str:
