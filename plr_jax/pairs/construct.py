@@ -219,14 +219,10 @@ def _with_halves(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box,
     key = np.minimum(key, np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
     is_leaf[nodes] = False
-    unchanged = np.flatnonzero(is_leaf[leaves])
-    return _ListTree(
-        tree.lists.append(lists),
-        np.append(tree.key, key),
-        np.append(is_leaf, np.ones(len(halves), bool)),
-        np.append(tree.parent, np.repeat(nodes, 2)),
-        tree.visible.of_cells(unchanged).append(visible),
-    )
+    visible = tree.visible.of_cells(np.flatnonzero(is_leaf[leaves])).append(visible)
+    is_leaf = np.append(is_leaf, np.ones(len(halves), bool))
+    parents = np.append(tree.parent, np.repeat(nodes, 2))
+    return _ListTree(tree.lists.append(lists), np.append(tree.key, key), is_leaf, parents, visible)
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:

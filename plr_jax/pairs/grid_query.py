@@ -44,6 +44,8 @@ SLACK = 2.0**-20
 Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]  # rows and columns; functions of cells answer NumPy in NumPy
 Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
 Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
+_Points = Num[Array, "*batch 2"] | Num[np.ndarray, "*batch 2"]
+_Steps = Float[Array, "*batch"] | Float[np.ndarray, "*batch"]
 _Lengths = Int32[Array, "n"]
 _Bits = UInt32[Array, "n"]  # of each cell, one bit for each of 32 blocks of corners
 _BitsAndLength = tuple[_Bits, _Bits, _Lengths]
@@ -217,18 +219,14 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
 
 
 @jax.jit
-def evaluate_pairs(
-    tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
-) -> Float[Array, "*batch"]:
+def evaluate_pairs(tables: GridTables, x: _Points, y: _Points) -> _Steps:
     """Return path lengths in steps between the cells of points, ``inf`` outside the grid or without a path."""
     (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     lengths = lengths_between_cells(tables, p, q)
     return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
 
 
-def evaluate_few(
-    tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
-) -> Float[np.ndarray, "*batch"] | None:
+def evaluate_few(tables: GridTables, x: _Points, y: _Points) -> _Steps | None:
     """Return path lengths in steps as :func:`evaluate_pairs` does, but computed in NumPy, without compilation.
 
     The result is None for so many pairs that compiled code is as fast.
@@ -257,9 +255,7 @@ def evaluate_few(
 
 
 @jax.jit
-def evaluate_to(
-    tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
-) -> Float[Array, "*batch"]:
+def evaluate_to(tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: _Points) -> _Steps:
     """Return path lengths in steps from the cells of points ``x`` to the cell ``goal`` (row, column).
 
     ``from_goal`` has the integer path lengths from the goal to all obstacle corners.

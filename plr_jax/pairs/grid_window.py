@@ -61,8 +61,8 @@ def distances_around(
     #    follow. The two corners are 2r and 6r if row and column change in opposite directions towards the goal, else
     #    0 and 4r.
     corner = jnp.where((goal - position).prod(axis=1) < 0, 2 * radius, 0)  # of each agent; the other is 4r further
-    looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == corner
-    lengths = _lengths_of_rim(tables, cells, free[rim], goal, looked_up_first)
+    is_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == corner
+    lengths = _lengths_of_rim(tables, cells, free[rim], goal, is_first)
     # 4. Spread lengths from the rim and the goal into the square.
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
     initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[rim].min(lengths)
@@ -71,14 +71,12 @@ def distances_around(
     return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
 
 
-def _lengths_of_rim(
-    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, looked_up_first: _RimFlags
-) -> _Rim:
+def _lengths_of_rim(tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, is_first: _RimFlags) -> _Rim:
     """Return the path length from each rim cell of each agent's square to the agent's goal; FAR without a path.
 
     ``cells`` are the rows and columns of the rim cells, and ``free`` says which are free. Lengths are in the units of
     :func:`open_length`. Only some lengths are looked up in the tables, first those of the cells in
-    ``looked_up_first`` and of free cells beside a blocked rim cell. In two cases, the lengths between two cells of
+    ``is_first`` and of free cells beside a blocked rim cell. In two cases, the lengths between two cells of
     known length follow without a look-up:
 
     - The known lengths differ by the number of steps between both cells, since lengths of neighbor cells differ by at
@@ -117,7 +115,7 @@ def _lengths_of_rim(
         is_wanted = free & ~is_known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
         return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), is_known | new, is_wanted
 
-    is_wanted = free & (looked_up_first | beside_blocked)
+    is_wanted = free & (is_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), is_wanted
     return lax.while_loop(lambda state: state[2].any(), look_up_round, none)[0]
 

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._arrays import require_integer, shortened
+from plr_jax._arrays import as_list, require_integer
 from plr_jax._compiled import num_cores
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
@@ -84,15 +84,7 @@ def construct_many(
         ValueError: If ``oracles`` is empty, or as for :func:`construct`.
     """
     # 1. Check the arguments.
-    try:
-        oracles = list(oracles)
-    except TypeError:
-        raise ValueError(f"oracles must be a list of distance functions, got {shortened(oracles)}.") from None
-    if not oracles:
-        raise ValueError("oracles must hold at least one distance function, got none.")
-    for number, oracle in enumerate(oracles):
-        if not callable(oracle):
-            raise ValueError(f"oracles must be functions, got {shortened(oracle)} at index {number}.")
+    oracles = as_list("oracles", oracles, "distance functions", callable)
     domain, model, proof = Box.of(domain, "domain, such as workspace.bounds,"), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
     executor = options.executor

@@ -363,11 +363,11 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
         # Undo the last splits until the file fits, by bisection; no leaves if one leaf is too large.
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
-        num_fitting = bisect_right(
-            range(len(order) + 1),
-            limits.max_bytes,
-            key=lambda num_splits: encoding.size(nodes, nodes.leaves_of_splits(order[:num_splits]), bits),
-        )
+
+        def size(num_splits: int) -> int:
+            return encoding.size(nodes, nodes.leaves_of_splits(order[:num_splits]), bits)
+
+        num_fitting = bisect_right(range(len(order) + 1), limits.max_bytes, key=size)
         return nodes.leaves_of_splits(order[: num_fitting - 1]) if num_fitting else np.empty(0, np.int64)
 
     def expected_error(leaf: Leaves, bits: int) -> float:

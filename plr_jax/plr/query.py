@@ -316,10 +316,8 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     for level in range(1, len(trie.bits)):
         # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
         # always holds, but XLA cannot know that, and does not fuse the loops.
-        is_used = trie.bits[level].any()
-        entry = jax.lax.cond(
-            is_used, lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
-        )
+        bits = trie.bits[level]
+        entry = jax.lax.cond(bits.any(), lambda entry, bits=bits: descend(entry, bits), jnp.zeros_like, entry)
     return entry >> np.uint32(1)
 
 
