@@ -233,10 +233,8 @@ def _error_by_norm(fit: CellFit) -> Float[np.ndarray, " cells"]:
 
 def _require_costs(largest: float) -> None:
     if 0 < largest < _LEAST_COST:
-        raise ValueError(
-            f"Costs must come to {_LEAST_COST:g} somewhere, got at most {largest:g}, which 32 bits do not hold. "
-            "Give the domain, or the costs, in smaller units."
-        )
+        got = f"got at most {largest:g}, which 32 bits do not hold. Give the domain, or the costs, in smaller units"
+        raise ValueError(f"Costs must come to {_LEAST_COST:g} somewhere, {got}.")
 
 
 def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -> Reach:

@@ -140,8 +140,7 @@ class Lists:
 
     def of_cells(self, rows: Int[np.ndarray, " some"]) -> "Lists":
         """Return the cells with the indices ``rows``, in this order, and their lists."""
-        first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
-        entries, cell = take_ragged(first, rows)
+        entries, cell = take_ragged(np.searchsorted(self.cell, np.arange(len(self.cells) + 1)), rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
@@ -272,10 +271,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         outline, vertex = with_open_contacts(outline, vertex)
     point_of, corner_of = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
     if len(point_of) > MOST_CORNERS:
-        raise ValueError(
-            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(point_of):,}: simplify its polygons, "
-            "or ask a VisibilityGraph."
-        )
+        advice = "simplify its polygons, or ask a VisibilityGraph"
+        raise ValueError(f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(point_of):,}: {advice}.")
     order = np.argsort(corner_of, kind="stable")
     first = np.searchsorted(corner_of[order], np.arange(len(visibility.corners.points) + 1))
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.

@@ -103,8 +103,7 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
     else:
         tables = []
         for grid in (free, free.T):  # illegal steps of the grid and of its mirror image, blocked cells in rows
-            in_rows = sums_along_rows(~grid & is_beside_free(grid))
-            tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), in_rows]
+            tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), sums_along_rows(~grid & is_beside_free(grid))]
     flat = np.concatenate([table.ravel() for table in tables])
     bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
     return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)

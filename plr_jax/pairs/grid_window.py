@@ -147,8 +147,7 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: _Ri
         start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
         ends = start, jnp.where((batch < is_wanted.size)[:, None], flat[cell], start)
-        answers = lengths_between_cells(tables, *ends)
-        return lengths.at[batch].set(answers, mode="drop")
+        return lengths.at[batch].set(lengths_between_cells(tables, *ends), mode="drop")
 
     return lax.fori_loop(0, -(-end[-1] // size), with_batch, lengths.ravel()).reshape(lengths.shape)
 

@@ -440,8 +440,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     root = require_certifiable(oracle, plr.domain)(grown_domain(plr.domain))
     visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)
     (certificate,) = certificates_of([plr._contents], visible, proof)
-    proven = replace(plr._contents, certificate=certificate, straight=None)
-    return plr_of_leaves(proven).with_label(plr.label)
+    return plr_of_leaves(replace(plr._contents, certificate=certificate, straight=None)).with_label(plr.label)
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], CellSources]:
@@ -450,15 +449,12 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], Cell
     The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells (see
     :func:`certify`).
     """
+    advice = "Build the PLR without a proof and measure its error"
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
-            f"got a {type(oracle).__name__} in {domain.dim} dimensions. Build the PLR without a proof and measure "
-            "its error."
+            f"got a {type(oracle).__name__} in {domain.dim} dimensions. {advice}."
         )
     if domain.is_periodic:
-        raise ValueError(
-            f"A proof needs Euclidean distances, without periodic axes, got {domain}. Build the PLR without a proof "
-            "and measure its error."
-        )
+        raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {advice}.")
     return cell_sources

@@ -70,9 +70,8 @@ class PLR(FileBacked):
         """
         if (certificate := self._contents.certificate) is None:
             return None
-        bounds = certificate.bounds().astype(np.float32)
         with jax.ensure_compile_time_eval():
-            return jax.device_put(padded(bounds.T).T)
+            return jax.device_put(padded(certificate.bounds().astype(np.float32).T).T)
 
     @cached_property
     def goals(self) -> Int[Array, " rows"] | None:
@@ -482,8 +481,7 @@ class LowerBound:
     def stack(fns: Sequence["LowerBound"]) -> TableStack:
         """Combine one lower bound per robot into a function of joint configurations; see :meth:`PLR.stack`."""
         fns = as_list("fns", fns, "lower bounds, such as [plr.lower]", lambda fn: isinstance(fn, LowerBound))
-        bands = tuple(fn.plr.band for fn in fns)
-        return replace(PLR.stack([fn.plr for fn in fns]), bands=bands)
+        return replace(PLR.stack([fn.plr for fn in fns]), bands=tuple(fn.plr.band for fn in fns))
 
 
 def from_bytes(data: bytes) -> PLR:

@@ -160,16 +160,9 @@ def nodes_of_fit(
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
-    return Nodes(
-        cells=fit.cells,
-        coefficients=coefficients,
-        error=error,
-        volume=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
-        axis=axis,
-        key=np.where(may_split, np.minimum(priority, key_of_parent), NEVER),
-        child=np.full(len(fit), -1),
-        is_cut_off=fit.is_cut_off,
-    )
+    key = np.where(may_split, np.minimum(priority, key_of_parent), NEVER)
+    volume = volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1))
+    return Nodes(fit.cells, coefficients, error, volume, axis, key, np.full(len(fit), -1), fit.is_cut_off)
 
 
 def urgent_first(
@@ -202,11 +195,10 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
     if priority.shape != (cells,) or np.isnan(priority).any():
         expected = f"one priority a cell, shape ({cells},) without NaN"
         raise ValueError(f"should_split must return {expected}, got shape {priority.shape}.")
-    if axis.shape != (cells,) or (axis < 0).any() or (axis >= dim).any():
-        raise ValueError(
-            f"split must return one axis from 0 to {dim - 1} a cell, shape ({cells},), got shape {axis.shape} with "
-            f"values from {axis.min(initial=dim)} to {axis.max(initial=-1)}."
-        )
+    least, most = axis.min(initial=dim), axis.max(initial=-1)
+    if axis.shape != (cells,) or least < 0 or most >= dim:
+        expected = f"one axis from 0 to {dim - 1} a cell, shape ({cells},)"
+        raise ValueError(f"split must return {expected}, got shape {axis.shape} with values from {least} to {most}.")
 
 
 # The rules SHOULDSPLIT and SPLIT of Algorithm 1. The leaf of the largest positive priority is split next.

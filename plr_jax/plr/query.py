@@ -96,8 +96,7 @@ def goals_in_tables(tables: Tables, goals: Int[Array, " rows"], x: Array) -> Int
     ``goals`` has the index of each leaf's goal.
     """
     x = _constant(_as_float_points(tables, x))
-    leads = jnp.isfinite(evaluate_tables(tables, x))
-    return jnp.where(leads, gather(goals, lookup(tables, x)), -1)
+    return jnp.where(jnp.isfinite(evaluate_tables(tables, x)), gather(goals, lookup(tables, x)), -1)
 
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Points:
@@ -215,8 +214,7 @@ def _fold(domain: FoldedDomain, x: Points, outside: Flags) -> Points:
     lo, hi = domain.corners.astype(x.dtype)
     columns = [straight_through(z[axis], jnp.clip(_constant(z[axis]), lo[axis], hi[axis])) for axis in axes]
     # Keep XLA from repeating the folding wherever a coordinate is read.
-    folded = jax.lax.optimization_barrier(jnp.stack(columns))
-    return jnp.moveaxis(folded, 0, -1)
+    return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
 
 
 def _wrap(tables: Tables, x: Points) -> Points:
@@ -269,8 +267,7 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
     # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
-    placed = jnp.maximum(jnp.where(scaled < top, scaled, top) + start, 1)
-    return placed.astype(np.float32).view(np.uint32)
+    return jnp.maximum(jnp.where(scaled < top, scaled, top) + start, 1).astype(np.float32).view(np.uint32)
 
 
 def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32[Array, " dim"]) -> Bits:

@@ -442,11 +442,9 @@ def run_tasks(
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
     answer = as_numbers("weight_fn's answer", weight_fn(x.copy()), f"real numbers of shape ({len(x)},)")
     weight = as_values("weight_fn", answer, len(x))
-    if not np.isfinite(weight).all() or (weight < 0).any():
-        raise ValueError(
-            f"weight_fn must return finite weights >= 0, got values from {weight.min(initial=np.inf):g} to "
-            f"{weight.max(initial=-np.inf):g}."
-        )
+    least, most = weight.min(initial=np.inf), weight.max(initial=-np.inf)  # NaN if any weight is
+    if not (least >= 0 and most < np.inf):
+        raise ValueError(f"weight_fn must return finite weights >= 0, got values from {least:g} to {most:g}.")
     return weight
 
 

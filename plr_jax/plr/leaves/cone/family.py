@@ -419,5 +419,4 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | Wo
     halvings = min(halvings, _MOST_HALVINGS, limits.max_axis_depth)
     position = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
     cells = Cells(np.full(position.shape, halvings), position)
-    shared = first.shared_samples(*cells.boxes(domain))
-    return FamilyTask(shared, Lattice(halvings), domain, limits, num_leaves)
+    return FamilyTask(first.shared_samples(*cells.boxes(domain)), Lattice(halvings), domain, limits, num_leaves)

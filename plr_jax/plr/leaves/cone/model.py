@@ -45,10 +45,8 @@ class Cone(LeafModel):
 
     def check_domain(self, domain: Box) -> None:
         if domain.is_periodic:
-            raise ValueError(
-                f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use "
-                "continuous leaves or planes instead."
-            )
+            expected = "Euclidean distances, without periodic axes"
+            raise ValueError(f"Leaves of kind 'cone' need {expected}, got {domain}. Use continuous leaves or planes.")
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
         if sampler.cache is None:
