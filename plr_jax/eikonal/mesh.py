@@ -8,10 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Num
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.voxels import spread
 from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
@@ -180,9 +179,8 @@ class Mesh:
 
     def connected_to(self, cells: CellIndex | int) -> Mask:
         # Whether open faces join each cell to one of the given cells, or it is one of them.
-        num, faces = len(self.state), self.open_faces
-        graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
-        part = connected_components(graph, directed=False)[1]
+        faces = self.open_faces
+        part = connected_groups(len(self.state), np.stack([faces.lower, faces.upper]))
         return np.isin(part, part[cells])
 
     def with_state(self, state: States) -> "Mesh":

@@ -162,11 +162,9 @@ def solve_eikonal(
         # 3a. Estimate costs on a grid, some node of which must see each goal.
         leaves = _MAX_LEAVES[domain.dim] if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
-        nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
-        is_seen[first[guide.unseen]] = False
-        must_be_seen = f"The goal must be seen from a node of the grid of {nodes} nodes"
-        why = ": it is too close to obstacles. Move it, or leave out certified=False"
-        _require_goals(goal, is_seen, must_be_seen, why)
+        is_seen = np.isin(np.arange(len(goals)), first[guide.unseen], invert=True)
+        must = f"The goal must be seen from a node of the grid of {' x '.join(map(str, guide.cost.shape))} nodes"
+        _require_goals(goal, is_seen, must, ": it is too close to obstacles. Move it, or leave out certified=False")
         _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
         # 4a. Fit a PLR to the estimate. Its file also holds the bound by straight motions, which takes a part of it.
         leaf, options = "continuous", BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)

@@ -304,10 +304,9 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
     data = pairs_data.to_bytes()
     if len(data) > limits.max_bytes:
-        raise ValueError(
-            f"max_bytes must leave room for free space and its corners, which alone take {len(data):,} bytes, got "
-            f"max_bytes={limits.max_bytes:,.0f}: raise it, or simplify the polygons."
-        )
+        expected = f"leave room for free space and its corners, which alone take {len(data):,} bytes"
+        advice = "raise it, or simplify the polygons"
+        raise ValueError(f"max_bytes must {expected}, got max_bytes={limits.max_bytes:,.0f}: {advice}.")
     return pairs_data, data
 
 

@@ -432,10 +432,8 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR, got {shortened(plr)}. Build one with construct.")
     if plr.tables.folding is not None:
-        raise ValueError(
-            "plr must not be folded by symmetries of its distance function, got a folded PLR. Build it with "
-            "certified=True."
-        )
+        message = "plr must not be folded by symmetries of its distance function, got a folded PLR"
+        raise ValueError(f"{message}. Build it with certified=True.")
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain)(grown_domain(plr.domain))
     visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)

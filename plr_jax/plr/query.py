@@ -54,9 +54,8 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Value
         value = evaluate_tables(replace(tables, folding=None), _fold(tables.folding, x, is_outside))
     else:
         x = _wrap(tables, x) if tables.periodic else x
-        row = find_row(tables, _constant(x))
         is_outside, answer = outside_domain(tables, x)
-        value = _value(tables, row, x, is_outside)
+        value = _value(tables, find_row(tables, _constant(x)), x, is_outside)
         if tables.straight is not None:
             value = jnp.maximum(value, _straight_bound(tables, x, is_outside))
     # 3. Replace answers outside the domain.

@@ -392,9 +392,8 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     try:
         answer = distance_fn(x.copy())  # a copy, since the function may write to its argument
     except Exception as error:
-        error.add_note(
-            f"distance_fn must return distances (n,) for points (n, dim); it was called with shape {x.shape}."
-        )
+        note = "distance_fn must return distances (n,) for points (n, dim)"
+        error.add_note(f"{note}; it was called with shape {x.shape}.")
         raise
     return as_distances("distance_fn", answer, x)
 

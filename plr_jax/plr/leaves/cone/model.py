@@ -110,10 +110,8 @@ class Cone(LeafModel):
 
 def as_sourced(leaf: LeafModel) -> Cone:
     if not isinstance(leaf, Cone):
-        raise ValueError(
-            f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources. Build the PLR with "
-            "leaf='cone', or follow it with descend."
-        )
+        message = f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources"
+        raise ValueError(f"{message}. Build the PLR with leaf='cone', or follow it with descend.")
     return leaf
 
 
