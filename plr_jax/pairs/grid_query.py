@@ -463,10 +463,8 @@ def _least_around(tables: GridTables, cells: Cells, onward: Callable[[_Corners],
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     """Return the index of the first block of corners of each cell, and the number of the cell's blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
-    first, end = (
-        looked_up(tables.group_block, index // GROUP) + looked_up(tables.cell_block, index).astype(np.int32)
-        for index in (cell, cell + 1)
-    )
+    of_group, of_cell = tables.group_block, tables.cell_block
+    first, end = (looked_up(of_group, i // GROUP) + looked_up(of_cell, i).astype(np.int32) for i in (cell, cell + 1))
     return first, end - first
 
 

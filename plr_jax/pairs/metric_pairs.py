@@ -58,8 +58,7 @@ class MetricPairs:
         # If JAX traces the file, the corners come from the tables, in two parts of 32 bits each.
         periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
         if not is_traced(self.plr.file):
-            domain = self.plr.domain
-            return domain.lo[: self.dim], domain.hi[: self.dim], periodic
+            return self.plr.domain.lo[: self.dim], self.plr.domain.hi[: self.dim], periodic
         frame = self.plr.tables.frame[:, : self.dim]
         return frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST], periodic
 

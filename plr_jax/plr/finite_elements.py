@@ -213,7 +213,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
-def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
+def basis_monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
     """Return each basis function as a polynomial of the coordinates ``t``: one row of coefficients per function.
 
     Each column is for a product of powers ``t[0]**i * t[1]**j * ...``; the exponent of the last axis varies fastest.

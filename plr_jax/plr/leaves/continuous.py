@@ -17,8 +17,7 @@ from plr_jax._arrays import hash64, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.finite_elements import NodalSpace, basis_values, coefficient_matrix, nodal_space
-from plr_jax.plr.finite_elements import monomials as monomials_of_order
+from plr_jax.plr.finite_elements import NodalSpace, basis_monomials, basis_values, coefficient_matrix, nodal_space
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
@@ -443,4 +442,4 @@ class Continuous(PolynomialLeafModel):
         return coefficients.reshape(len(values), -1)
 
     def monomials(self, dim: int) -> Float[np.ndarray, "terms powers"]:
-        return monomials_of_order(self.order, dim)
+        return basis_monomials(self.order, dim)
