@@ -456,5 +456,4 @@ class SampledSpace(CheckedFreeTest):
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
-        is_free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
-        return np.asarray(is_free.all(axis=1))
+        return np.asarray(self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2]).all(axis=1))

@@ -325,8 +325,7 @@ def _edges_in_file(order: _Indices, first: _Indices, a: _Indices, b: _Indices) -
     between = np.stack([start[row], end], axis=1)
     # 2. Join the file's corners at the same place in a chain, so that paths may pass from one to another: (4, 6).
     later = np.setdiff1d(np.arange(1, len(order)), first)  # all but the first at each place
-    chains = np.stack([later - 1, later], axis=1)
-    edges = order[np.concatenate([between, chains])]
+    edges = order[np.concatenate([between, np.stack([later - 1, later], axis=1)])]
     return np.unique(np.sort(edges, axis=1)[:, ::-1], axis=0)[:, ::-1]
 
 

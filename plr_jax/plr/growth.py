@@ -159,7 +159,7 @@ def nodes_of_fit(
     # Residuals are 0 at samples that do not reach the goal.
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
-    may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
+    may_split = (priority > np.maximum(limits.tolerance, fit.noise)) & is_within_depth(fit.cells, axis, limits)
     key = np.where(may_split, np.minimum(priority, key_of_parent), NEVER)
     volume = volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1))
     return Nodes(fit.cells, coefficients, error, volume, axis, key, np.full(len(fit), -1), fit.is_cut_off)
@@ -176,11 +176,6 @@ def urgent_first(
     is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
     return np.where(is_urgent, highest, priority), np.where(is_urgent, fit.urgent_axis, axis)
-
-
-def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, " cells"]:
-    """Return, for each cell, the value that the cell's priority must exceed for the cell to be split."""
-    return np.maximum(limits.tolerance, fit.noise)
 
 
 def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limits) -> Bool[np.ndarray, " cells"]:
