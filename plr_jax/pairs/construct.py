@@ -271,8 +271,10 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         outline, vertex = with_open_contacts(outline, vertex)
     point_of, corner_of = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
     if len(point_of) > MOST_CORNERS:
-        advice = "simplify its polygons, or ask a VisibilityGraph"
-        raise ValueError(f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(point_of):,}: {advice}.")
+        raise ValueError(
+            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(point_of):,}: simplify its polygons, "
+            "or ask a VisibilityGraph."
+        )
     order = np.argsort(corner_of, kind="stable")
     first = np.searchsorted(corner_of[order], np.arange(len(visibility.corners.points) + 1))
     # 2. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
