@@ -186,13 +186,10 @@ def construct(
     if leaf == "best":
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
-        root = None  # the sources of the whole domain, for all models
-        if (
-            (cell_sources := getattr(distance_fn, "cell_sources", None))
-            and domain.dim == 2
-            and not domain.is_periodic
-        ):
-            root = cell_sources(grown_domain(domain))
+        # Find the sources of the whole domain once, for all models.
+        cell_sources = getattr(distance_fn, "cell_sources", None)
+        is_plane = domain.dim == 2 and not domain.is_periodic
+        root = cell_sources(grown_domain(domain)) if cell_sources and is_plane else None
         names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
         contents = build_best_model(partial(build, root=root), names, partial(_error_of, distance_fn, proof, seed))
     else:

@@ -190,8 +190,8 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
         rounding = leaf.rounding_bounds(domain, file.tree.leaves, coefficients[leaves])
         volume = np.ldexp(1.0, -file.tree.leaves.depth.sum(axis=1))
         num_bytes = len(body_of_leaves(file).to_bytes())
-        encode = partial(Certificate.of, rounding=rounding, proof=proof, volume=volume, num_bytes=num_bytes)
-        targets.append(_SufficientBounds(leaves, rounding, encode))
+        encode_bounds = partial(Certificate.of, rounding=rounding, proof=proof, volume=volume, num_bytes=num_bytes)
+        targets.append(_SufficientBounds(leaves, rounding, encode_bounds))
 
     def sufficient(least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         bounds = [target(least[target.leaves], most[target.leaves], recompute) for target in targets]
