@@ -183,7 +183,8 @@ class Program:
         ``offsets`` is the result of the method :meth:`offsets`. If ``do`` generates C or JavaScript, the unit is
         ``2**-32`` widths: the low 9 bits of the integers are 0.
         """
-        return [fraction_along(do, offset, column) for offset, column in zip(offsets, self.frame.T, strict=True)]
+        columns = zip(*self.frame, strict=True)
+        return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
         """Return the distance at each point, with the parameters ``numbers`` of the point's leaf.
