@@ -8,7 +8,7 @@ unless stated otherwise.
 import math
 import reprlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import reduce
@@ -238,8 +238,14 @@ def size_in_eighths(n: int) -> int:
     return -(-n // step) * step
 
 
-def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
-    """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all."""
+def padded(
+    rows: Shaped[np.ndarray, " n *row"], size: int | None = None, fill: ArrayLike = 0
+) -> Shaped[np.ndarray, " padded *row"]:
+    """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all.
+
+    If ``size`` is None, it is a power of two (:func:`padded_size`).
+    """
+    size = padded_size(len(rows)) if size is None else size
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)] = rows
     result[len(rows) :] = fill
@@ -370,6 +376,20 @@ def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
     """
     advice = f" {when_changed}" if name.startswith(_MUTATORS) else ""
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
+
+
+def as_list(name: str, value: object, expected: str, fits: Callable[[Any], bool]) -> list[Any]:
+    """Check an iterable of one or more items, for each of which ``fits`` returns True, and return it as a list.
+
+    ``expected`` describes the items in error messages.
+    """
+    items = list(value) if isinstance(value, Iterable) else []
+    if not items:
+        raise ValueError(f"{name} must be a list of {expected}, got {shortened(value)}.")
+    for i, item in enumerate(items):
+        if not fits(item):
+            raise ValueError(f"{name} must be a list of {expected}, got {shortened(item)} at index {i}.")
+    return items
 
 
 def require_function(name: str, value: object) -> None:

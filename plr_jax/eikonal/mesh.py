@@ -8,10 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, Num
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.voxels import spread
 from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
@@ -180,9 +179,8 @@ class Mesh:
 
     def connected_to(self, cells: CellIndex | int) -> Mask:
         # Whether open faces join each cell to one of the given cells, or it is one of them.
-        num, faces = len(self.state), self.open_faces
-        graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
-        part = connected_components(graph, directed=False)[1]
+        faces = self.open_faces
+        part = connected_groups(len(self.state), np.stack([faces.lower, faces.upper]))
         return np.isin(part, part[cells])
 
     def with_state(self, state: States) -> "Mesh":
@@ -266,10 +264,8 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
     width = domain.width * space.motion_cost.scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
     if 2.0 ** least.sum() > max_cells:
-        raise ValueError(
-            f"max_leaves must be at least {2 ** least.sum()} in a domain with {sum(domain.periodic)} periodic axes, "
-            f"got {max_cells}."
-        )
+        expected = f"at least {2 ** least.sum()} in a domain with {sum(domain.periodic)} periodic axes"
+        raise ValueError(f"max_leaves must be {expected}, got {max_cells}.")
     depth = np.maximum(least, np.rint(np.log2(width / width.min())).astype(np.int64))
     # 2. Fit the number of cells to the limits: join the most halved axes, or halve all axes.
     while 2.0 ** depth.sum() > max_cells:
