@@ -51,13 +51,13 @@ class Building(PickledWithoutCaches):
         for i, link in enumerate(all_links):
             if not isinstance(link, Link):
                 raise ValueError(f"links must be plr_jax.Link(start, end, cost), got {shortened(link)} at {i}.")
-            self.require_free(f"The start of link {i}", link.start)
-            self.require_free(f"The end of link {i}", link.end)
+            self._require_free(f"The start of link {i}", link.start)
+            self._require_free(f"The end of link {i}", link.end)
 
     def __repr__(self) -> str:
         return f"Building({len(self.floors)} floors, {len(self.links)} links)"
 
-    def require_free(self, name: str, place: Place) -> None:
+    def _require_free(self, name: str, place: Place) -> None:
         floor, point = place
         if floor >= len(self.floors):
             raise ValueError(f"{name} must be on a floor from 0 to {len(self.floors) - 1}, got floor {floor}.")
@@ -120,7 +120,7 @@ class Building(PickledWithoutCaches):
             )
         goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
         for i, place in enumerate(goals):
-            self.require_free(f"Goal {i}", place)
+            self._require_free(f"Goal {i}", place)
         points = np.stack([self._placed(place) for place in goals])
         return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, np.zeros(len(goals))))
 
