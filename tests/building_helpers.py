@@ -9,7 +9,8 @@ import shapely
 
 from plr_jax import Building, Link, Workspace
 
-SHARE = 1e-9  # of a floor's size: how far segments may leave free space
+ALLOWED = 1e-9  # of a building's size: errors of distances up to this are rounding
+_SHARE = 1e-11  # of a floor's size: how far segments may leave free space
 _NEAR = 8  # times this distance, a segment counts as touching a contact
 
 
@@ -55,7 +56,7 @@ class FloorSight:
         lo, hi = np.reshape(free.bounds, (2, 2))
         self.origin = lo
         self.free = free = shapely.transform(free, lambda x: x - lo)  # exact arithmetic near 0
-        self.tolerance = SHARE * float((hi - lo).max()) + 4 * float(np.spacing(np.abs([lo, hi]).max()))
+        self.tolerance = _SHARE * float((hi - lo).max()) + 4 * float(np.spacing(np.abs([lo, hi]).max()))
         self.grown = free.buffer(self.tolerance, join_style="mitre")
         self.vertices = np.unique(shapely.get_coordinates(free), axis=0)
         shapely.prepare(self.grown)
@@ -113,7 +114,7 @@ class BruteForce:
 
     def __init__(self, building: Building):
         self.links, squeeze = building.links, building.floors[0].squeeze
-        self.allowed = SHARE * size_of(building)  # errors of distances up to this are rounding
+        self.allowed = ALLOWED * size_of(building)
         self.floors = [FloorSight(floor.free_space, squeeze) for floor in building.floors]
         self.nodes: list[Nodes] = []
         self.walks, ends = networkx.DiGraph(), [place for link in self.links for place in (link.start, link.end)]
