@@ -61,7 +61,8 @@ class NumpyBuildingPLR(OnFloors):
         lines = [self.plane.c_header(f"{name}_plane", compact), f"#ifndef {header}", f"#define {header}"]
         lo, hi = floors.lo.astype(np.float32), floors.hi.astype(np.float32)
         for table, rows in {"float {}_lo": lo, "float {}_hi": hi, "double {}_shift": floors.shift}.items():
-            entries = (f"{{{x}, {y}}}" for x, y in rows.astype(str))
+            suffix = "f" if table.startswith("float") else ""
+            entries = (f"{{{x}{suffix}, {y}{suffix}}}" for x, y in rows.astype(str))
             lines += [f"static const {table.format(name)}[{count}][2] = {{", *wrap_entries(entries), "};"]
         lines += [
             f"/* Distance to the goal from a point of floor 0 to {count - 1}: INFINITY outside the floor. */",
