@@ -117,6 +117,15 @@ def test_c_equals_numpy(is_compact, is_far, far, tmp_path):
     assert np.isnan(y[-2:]).all()
 
 
+def test_c_compiles_strictly_if_bounds_are_no_floats(tmp_path):
+    if shutil.which("gcc") is None:
+        pytest.skip("C is tried where gcc is")
+    building = two_floors((0.1, 0.7), (-5.3, 3.9))
+    plr = building.oracle(0, (10.1, 1.7)).construct(max_bytes=1000)
+    (tmp_path / "home.c").write_text(plr.c_header("home"))
+    subprocess.run(["gcc", *STRICT, "-Wno-unused-function", "-fsyntax-only", "home.c"], cwd=tmp_path, check=True)
+
+
 def test_damaged_files_are_refused(tmp_path):
     data, path = PLR.to_bytes(), tmp_path / "damaged.plr"
     text = BUILDING.plane_floors.text
