@@ -81,8 +81,8 @@ class Sources:
     """The *sources* of a distance function: goals, and the points where shortest paths to the nearest goal may turn.
 
     The first segment of any shortest path ends at a source. Sources that reach a goal and are their own parents are
-    called *roots*: goals, and places such as a flight of stairs, whose path continues elsewhere. Sources at one place
-    must have equal distances, so that files may merge them.
+    called *roots*: goals, and places such as a flight of stairs, whose path continues elsewhere. Without ``exits``,
+    sources at one place must have equal distances, so that files may merge them.
     """
 
     points: Float[np.ndarray, "sources dim"]

@@ -178,7 +178,9 @@ class Floors:
         there is no path.
         """
         legs, links, length, path = [], [], 0.0, [start]
-        while source >= 0:
+        for _ in range(len(points)):  # sources of a damaged file may form a circle
+            if source < 0:
+                break
             path.append(points[source])
             if roots[source] < 0:
                 source = int(parents[source])
