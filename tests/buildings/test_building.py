@@ -73,8 +73,21 @@ def test_links_where_obstacles_touch_open_no_way_between_the_obstacles():
     np.testing.assert_allclose(oracle(0, [(1, 1), (5, 5), (8, 9)]), [there_and_back, np.hypot(4, 4), 1])
     assert oracle.which(0, [(1, 1), (5, 5), (8, 9)]).tolist() == [0, -1, -1]
     assert oracle.shortest_path(0, (1, 1)).links == [0, 0]
+    plr, x = oracle.construct(max_bytes=800, certified=True), TOUCHING.sample_free(50, 0)
+    np.testing.assert_allclose([route.length for route in plr.trace(0, x, building)], oracle(0, x), atol=1e-5)
+    np.testing.assert_allclose(plr(0, x), oracle(0, x), atol=1e-4, err_msg="a file keeps the link's two sides apart")
     one_way = Building([TOUCHING, HALL], [Link(link.start, link.end, 2, both_ways=False)])
     assert np.isinf(one_way.oracle(0, (9, 9))(0, [(1, 1)]))
+
+
+@pytest.mark.parametrize("gap", [1e-3, 3e-8, 1e-9])
+def test_routes_end_if_a_file_merges_the_ends_of_links(gap):
+    a, b, c = ((0, (5 + i * gap, 5)) for i in range(3))
+    building = Building([HALL], [Link(a, b, 0, both_ways=False), Link(c, b, 0)])
+    oracle = building.oracle(0, (9, 5))
+    plr = oracle.construct(max_bytes=600, certified=True)
+    for route in [*plr.trace(0, [(1, 5), (2, 5)], building), oracle.shortest_path(0, (1, 5))]:
+        assert route.length == pytest.approx(9 - route.legs[0][1][0][0], abs=3 * gap + 1e-5)
 
 
 def test_links_on_a_floor_may_be_shorter_than_walking_and_several_links_may_join_two_places():
