@@ -29,6 +29,7 @@ import jax
 import networkx
 import numpy as np
 import shapely
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from experiments._c_headers import compiled_library, median_seconds
@@ -68,6 +69,11 @@ def building_and_goal(smoke: bool) -> tuple[Building, tuple] | None:
     return building, (floor, (x + 0.3, y + 0.2))
 
 
+def on_building(measure: Callable[..., dict[str, Any]], seed: int, smoke: bool) -> dict[str, Any]:
+    found = building_and_goal(smoke)
+    return {} if found is None else measure(*found, seed, smoke)
+
+
 def samples(building: Building, number: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return free points of all floors, in random order: their floors ``(n,)`` and coordinates ``(n, 2)``."""
     floor = np.repeat(np.arange(len(building.floors)), number)
@@ -79,10 +85,7 @@ def samples(building: Building, number: int, seed: int) -> tuple[np.ndarray, np.
 # Right answers.
 
 
-def exact(seed: int, smoke: bool) -> dict[str, Any]:
-    if (found := building_and_goal(smoke)) is None:
-        return {}
-    building, goal = found
+def exact(building: Building, goal: tuple, seed: int, smoke: bool) -> dict[str, Any]:
     floor, x = samples(building, 50 if smoke else _POINTS, seed)
     seconds, search = timed(lambda: helpers("building_helpers").BruteForce(building))
     rows = []
@@ -92,11 +95,10 @@ def exact(seed: int, smoke: bool) -> dict[str, Any]:
         for k in range(len(building.floors)):
             truth[floor == k] = field(k, x[floor == k])
         distance, is_reached = oracle(floor, x), np.isfinite(truth)
-        row = {"floor": to[0], "reached": float(is_reached.mean())}
-        row["wrong"] = int(helpers("building_checks").are_wrong(distance, truth, SEARCH_ERROR).sum())
-        rows.append(
-            {**row, "largest_difference": float(np.abs(distance[is_reached] - truth[is_reached]).max(initial=0))}
-        )
+        wrong = helpers("building_checks").are_wrong(distance, truth, SEARCH_ERROR).sum()
+        largest = np.abs(distance[is_reached] - truth[is_reached]).max(initial=0)
+        reached = float(is_reached.mean())
+        rows.append({"floor": to[0], "reached": reached, "wrong": int(wrong), "largest": float(largest)})
     # The picture shows the path from the farthest point to the first goal.
     oracle = building.oracle(*goal)
     distance = oracle(floor, x)
@@ -106,10 +108,7 @@ def exact(seed: int, smoke: bool) -> dict[str, Any]:
     return {**counts, "rows": rows, "goal": goal, "longest": float(distance[farthest]), "legs": legs}
 
 
-def bounds(seed: int, smoke: bool) -> dict[str, Any]:
-    if (found := building_and_goal(smoke)) is None:
-        return {}
-    building, goal = found
+def bounds(building: Building, goal: tuple, seed: int, smoke: bool) -> dict[str, Any]:
     oracle = building.oracle(*goal)
     floor, x = samples(building, 100 if smoke else _BOUNDED // len(building.floors) + 1, seed)
     distance = np.concatenate([oracle(*part) for part in _batches(floor, x)])
@@ -151,10 +150,7 @@ def built(oracle: Any, max_bytes: int) -> BuildingPLR:
     return oracle.construct(max_bytes=max_bytes, certified=True)
 
 
-def costs(seed: int, smoke: bool) -> dict[str, Any]:
-    if (found := building_and_goal(smoke)) is None:
-        return {}
-    building, goal = found
+def costs(building: Building, goal: tuple, seed: int, smoke: bool) -> dict[str, Any]:
     building = Building(building.floors, building.links)  # nothing is prepared
     preparing, oracle = timed(lambda: building.oracle(*goal))
     another = median_seconds(lambda: building.oracle(*goal))
@@ -174,10 +170,7 @@ def costs(seed: int, smoke: bool) -> dict[str, Any]:
     return {**sizes, "preparing": preparing, "another_goal": another, "rows": rows}
 
 
-def speed(seed: int, smoke: bool) -> dict[str, Any]:
-    if (found := building_and_goal(smoke)) is None:
-        return {}
-    building, goal = found
+def speed(building: Building, goal: tuple, seed: int, smoke: bool) -> dict[str, Any]:
     oracle = building.oracle(*goal)
     plr = built(oracle, BUDGETS[0 if smoke else 1])
     # 1. Batches of points on all floors.
@@ -197,10 +190,10 @@ def speed(seed: int, smoke: bool) -> dict[str, Any]:
     queries = {"networkx": search_by_networkx(building, goal), "exact": lambda k, point: oracle(k, point[None])[0]}
     alone = {name: np.array([query(*each) for each in some]) for name, query in queries.items()}
     assert not helpers("building_checks").are_wrong(alone["networkx"], alone["exact"], 1e-6).any()
-    single = {
-        f"{name}_us": 1e6 * median_seconds(lambda query=query: [query(*each) for each in some]) / len(some)
-        for name, query in queries.items()
-    }
+    single = {}
+    for name, query in queries.items():
+        seconds = median_seconds(lambda query=query: [query(*each) for each in some])
+        single[f"{name}_us"] = 1e6 * seconds / len(some)
     return {"bytes": plr.num_bytes, "batch": len(x), "rows": rows, **single, "pairs": _pairs(building, seed, smoke)}
 
 
@@ -291,8 +284,8 @@ def _pairs(building: Building, seed: int, smoke: bool) -> dict[str, Any]:
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
     found = building_and_goal(smoke=False)
-    if found is None or len(found[0].floors) <= max((k for k, _ in results.get("legs", [])), default=99):
-        return []
+    if found is None or results.get("goal") != [found[1][0], list(found[1][1])]:
+        return []  # no data, or results of the smallest setting
     building, goal = found
     oracle, count = building.oracle(*goal), len(building.floors)
     lo, hi = (np.stack([getattr(floor.bounds, name) for floor in building.floors]) for name in ("lo", "hi"))
@@ -300,37 +293,29 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     x, y = np.meshgrid(np.linspace(x0, x1, 480), np.linspace(y0, y1, 520))
     figure = Figure(figsize=(2.3 * count, 3.0), layout="constrained", facecolor="white")
     all_axes = figure.subplots(1, count, sharex=True, sharey=True)
+    colors = Normalize(0, results["longest"])
     for k, ax in enumerate(all_axes):
-        distance = oracle(k, np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape)
-        distance = np.ma.masked_invalid(distance)
-        shown = {
-            "extent": (x0, x1, y0, y1),
-            "origin": "lower",
-            "cmap": "viridis",
-            "vmin": 0,
-            "vmax": results["longest"],
-        }
-        image = ax.imshow(distance, interpolation="nearest", **shown)
+        distance = np.ma.masked_invalid(oracle(k, np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape))
+        image = ax.imshow(distance, norm=colors, extent=(x0, x1, y0, y1), origin="lower", interpolation="nearest")
         for ring in shapely.get_rings(shapely.get_parts(building.floors[k].free_space)):
             ax.plot(*shapely.get_coordinates(ring).T, color="#555555", lw=0.4)
         ax.set(title=f"floor {k}", aspect="equal", xticks=[], yticks=[])
-    legs = [(k, np.array(points)) for k, points in results["legs"]]
-    for number, (k, points) in enumerate(legs):
-        all_axes[k].plot(*points.T, color=_PATH, lw=1.6)
-        for point, is_link in ((points[0], number > 0), (points[-1], number < len(legs) - 1)):
-            all_axes[k].plot(
-                *point, color="white", marker="o" if is_link else "*", mec=_PATH, ms=5 if is_link else 10
-            )
+    mark = {"color": "white", "mec": _PATH}
+    for k, points in results["legs"]:
+        all_axes[k].plot(*np.transpose(points), color=_PATH, lw=1.6)
+        all_axes[k].plot(*np.transpose([points[0], points[-1]]), "o", ms=5, **mark)
+    for k, points in (results["legs"][0], (goal[0], [goal[1]])):
+        all_axes[k].plot(*points[0], "*", ms=11, **mark)
     figure.colorbar(image, ax=all_axes, label="distance (m)", shrink=0.8)
     figure.savefig(output / "buildings.png", dpi=110)
     return [output / "buildings.png"]
 
 
 SECTIONS = {
-    "exact": Section(exact, draw),
-    "costs": Section(costs),
-    "bounds": Section(bounds),
-    "speed": Section(speed),
+    "exact": Section(partial(on_building, exact), draw),
+    "costs": Section(partial(on_building, costs)),
+    "bounds": Section(partial(on_building, bounds)),
+    "speed": Section(partial(on_building, speed)),
     "random": Section(random),
 }
 
