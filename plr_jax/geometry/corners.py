@@ -23,6 +23,7 @@ from plr_jax.geometry.visibility import (
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
+ViewCornerPairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a viewpoint and a corner, as indices
 _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 
@@ -132,12 +133,8 @@ def with_places(
     end, row = take_ragged(first, arcs.end[arc])
     places, copies = places[of], Arcs(count + start[row], count + end, arcs.length[arc[row]])
     # 2. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
-    table, (place, vertex) = visibility_of(triangulation, views)
-    pairs = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
-    place, corner = pairs[:, pairs[1] >= 0]
-    at = views.points[place]
-    joined = visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
-    joined &= views.joins(place, visibility.views, corner)
+    table, (place, corner) = views_in_sight(visibility, triangulation, views)
+    joined = corners.is_tangent_to(corner, views.points[place]) & views.joins(place, visibility.views, corner)
     # 3. Join places that see each other.
     a, b = np.triu_indices(len(places), 1)
     sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a]) & (of[a] != of[b])
@@ -155,6 +152,29 @@ def with_places(
         copies,
         arc[row],
     )
+
+
+def views_in_sight(
+    visibility: CornerVisibility, triangulation: Triangulation, views: Viewpoints
+) -> tuple[VisibilityTable, ViewCornerPairs]:
+    """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
+    table, (view, vertex) = visibility_of(triangulation, views)
+    return table, mutual_pairs(visibility, table, view, visibility.of_vertex[vertex])
+
+
+def mutual_pairs(
+    visibility: CornerVisibility, table: VisibilityTable, view: Indices, corner: Indices
+) -> ViewCornerPairs:
+    """Return the pairs of a viewpoint and a corner that see each other, each pair once, sorted.
+
+    ``table`` has what the viewpoints see. Viewpoint ``view[i]`` sees the vertex at ``corner[i]`` (-1: no corner).
+    """
+    # Places are no vertices of the boundary, so `corner` lacks them: test every viewpoint and place.
+    owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), visibility.places))
+    sees = table.sees(owner, visibility.table.points[place])
+    pairs = np.stack([np.append(view, owner[sees]), np.append(corner, place[sees])])
+    view, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
+    return np.stack([view, corner])[:, visibility.table.sees(corner, table.points[view])]
 
 
 def mutually_visible_pairs(

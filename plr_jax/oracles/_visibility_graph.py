@@ -25,25 +25,20 @@ from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
     TurnRegions,
+    ViewCornerPairs,
     corner_visibility,
     find_turn_points,
+    mutual_pairs,
     views_by_triangle,
+    views_in_sight,
 )
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import (
-    Viewpoints,
-    VisibilityTable,
-    joined_tables,
-    triangles_within,
-    viewpoints_at,
-    visibility_of,
-)
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
-Pairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a goal and a corner, as indices
-GoalsInSight: TypeAlias = tuple[VisibilityTable, Pairs]
+GoalsInSight: TypeAlias = tuple[VisibilityTable, ViewCornerPairs]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -127,7 +122,7 @@ class VisibilityGraph(PickledWithoutCaches):
         view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, (goal_table, seen) = changed_visibility(self.family, old_view, view, workspace, change)
-        goal_view = goal_table, _mutual_pairs(corners, goal_table, np.zeros(len(seen), int), seen)
+        goal_view = goal_table, mutual_pairs(corners, goal_table, np.zeros(len(seen), int), seen)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def __repr__(self) -> str:
@@ -244,7 +239,7 @@ class VisibilityGraph(PickledWithoutCaches):
         distance, turn = self._first_turns(x[None])
         if not np.isfinite(distance[0]):
             return np.empty((0, 2))
-        return path_to_root(self.graph, self._parents, x, int(turn[0]))
+        return path_to_root(self.graph.vertices, self._parents, x, int(turn[0]))
 
     def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         """Return unit vectors, ``(n, 2)``, along which shortest paths from points ``(n, 2)`` start.
@@ -371,22 +366,7 @@ def goals_in_sight(
     workspace: Workspace, corners: CornerVisibility, goals: Float[np.ndarray, "goals 2"]
 ) -> GoalsInSight:
     """Return what goals, distinct points of free space, see, and the pairs of a goal and a corner in mutual sight."""
-    return _views_in_sight(workspace, corners, viewpoints_at(workspace.triangulation, goals))
-
-
-def _views_in_sight(workspace: Workspace, corners: CornerVisibility, views: Viewpoints) -> GoalsInSight:
-    table, (goal, vertex) = visibility_of(workspace.triangulation, views)
-    return table, _mutual_pairs(corners, table, goal, corners.of_vertex[vertex])
-
-
-def _mutual_pairs(corners: CornerVisibility, table: VisibilityTable, goal: Indices, corner: Indices) -> Pairs:
-    """Return the pairs of a goal and a corner that see each other; ``goal[i]`` sees ``corner[i]`` (-1: no corner)."""
-    # Places are no vertices, which expansion finds.
-    owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), corners.places))
-    sees = table.sees(owner, corners.table.points[place])
-    pairs = np.stack([np.append(goal, owner[sees]), np.append(corner, place[sees])])
-    goal, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
-    return np.stack([goal, corner])[:, corners.table.sees(corner, table.points[goal])]
+    return views_in_sight(corners, workspace.triangulation, viewpoints_at(workspace.triangulation, goals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,15 +398,16 @@ class NearestPaths:
         # 1. Of equal goals, keep the cheapest.
         mesh, num_goals = workspace.triangulation, len(goals)
         place = mesh.place(goals).x
-        order = np.lexsort((offsets, *place.T))
-        kept = np.sort(order[np.append(True, (place[order[1:]] != place[order[:-1]]).any(axis=1))])
+        order = np.argsort(offsets, kind="stable")
+        _, cheapest = np.unique(place[order], axis=0, return_index=True)
+        kept = np.sort(order[cheapest])
         # 2. Split goals where obstacles touch, so that no path to another goal passes there between the obstacles.
         views, copied = viewpoints_at(mesh, goals[kept]).split()
         kept = kept[copied]
         # 3. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
         #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
         count, vertices = len(kept), corners.corners.with_goal(*goals[kept])
-        table, (goal, corner) = _views_in_sight(workspace, corners, views)
+        table, (goal, corner) = views_in_sight(corners, mesh, views)
         goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
         number = np.append(kept, num_goals + corners.copied)
