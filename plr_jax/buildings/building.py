@@ -162,8 +162,7 @@ class BuildingOracle:
         """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal."""
         start = self.building.in_plane(floor, as_points("x", [x], 2))
         (source,), _ = self.paths.first_turns(start)
-        sources, of_sources = self.paths.sources, (self.paths.roots, self.paths.exits)
-        return self.floors.route(int(floor), start[0], int(source), sources.points, sources.parents, *of_sources)
+        return self.floors.route(int(floor), start[0], int(source), self.paths.sources)
 
     def __getitem__(self, floor: int) -> NearestGoal:
         """Return the distance function of one floor, from points ``(n, 2)``; ``construct`` and others take it.
@@ -175,7 +174,7 @@ class BuildingOracle:
         if not 0 <= floor < len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
-        root = np.flatnonzero(self.paths.roots >= 0)
+        root = np.flatnonzero(self.paths.root_numbers >= 0)
         points = sources.points[root] - shift
         clipped = np.clip(points, bounds.lo, bounds.hi)
         here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded

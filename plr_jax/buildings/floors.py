@@ -7,17 +7,16 @@ from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_queries, require_integer, set_fields, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.container import BUILDING_MAGIC
 
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
 PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
-Sources: TypeAlias = Int[np.ndarray, " sources"]
 _MOST_BYTES = 2**24  # of the floors in a file, decoded
 NO_PATH = -2  # instead of the index of the next link
 _UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
@@ -161,36 +160,26 @@ class Floors:
         links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
         return root.__array_namespace__().asarray(links)[root]
 
-    def route(
-        self,
-        floor: int,
-        start: Float[np.ndarray, "2"],
-        source: int,
-        points: Float[np.ndarray, "sources 2"],
-        parents: Sources,
-        roots: Sources,
-        exits: Sources,
-    ) -> Route:
-        """Return the route from a point of the plane, on a floor, to the source that comes first, and on to a goal.
+    def route(self, floor: int, start: Float[np.ndarray, "2"], source: int, sources: Sources) -> Route:
+        """Return the route from a point of the plane, on a floor, straight to a source, and on to a goal.
 
-        Sources have ``points``, and ``parents``: the next source. ``roots`` has the number of each root, and -1 for
-        other sources; ``exits`` is the source where a path goes on that takes a root's link. If ``source`` is -1,
-        there is no path.
+        ``source`` is an index in ``sources``, or -1 for no path.
         """
+        numbers, exits = np.asarray(sources.root_numbers), np.asarray(sources.exits)
         legs, links, length, path = [], [], 0.0, [start]
         while source >= 0:
-            path.append(points[source])
-            if roots[source] < 0:
-                source = int(parents[source])
+            path.append(sources.points[source])
+            if numbers[source] < 0:
+                source = int(sources.parents[source])
                 continue
-            # The leg ends at a goal, or at a link.
+            # The source is a root: the leg ends at a goal, or where a link starts.
             leg = np.stack(path)
             leg = leg[np.append(True, (leg[1:] != leg[:-1]).any(axis=1))]
             legs.append((floor, leg - self.shift[floor]))
             length += float(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum())
-            if roots[source] < self.num_goals:
+            if numbers[source] < self.num_goals:
                 return Route(legs, links, length)
-            index, link = self.arcs[roots[source] - self.num_goals]
+            index, link = self.arcs[numbers[source] - self.num_goals]
             links.append(index)
             length += link.cost
             source, (floor, end) = int(exits[source]), link.end

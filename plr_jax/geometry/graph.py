@@ -95,13 +95,12 @@ def connected_groups(num_vertices: int, edges: Int[np.ndarray, "2 _"]) -> Int[np
     return sparse_graphs.connected_components(graph, directed=False)[1]
 
 
-def path_to_root(points: Points, parents: Int[np.ndarray, " v"], start: Float[np.ndarray, " d"], vertex: int) -> Points:
+def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.ndarray, " d"], vertex: int) -> Points:
     """Return the path from ``start`` straight to a vertex, then from each vertex to its parent, until the root.
 
-    ``points`` are the vertices. ``vertex`` and ``parents`` are indices; the root has a negative parent. Repeated
-    points are left out.
+    ``vertex`` is an index, and so are ``parents``; the root has a negative parent. Repeated points are left out.
     """
-    path = np.concatenate([start[None], points[path_from_root(parents, vertex)[::-1]]])
+    path = np.concatenate([start[None], graph.vertices[path_from_root(parents, vertex)[::-1]]])
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 

@@ -305,7 +305,7 @@ class Roadmap:
         distance, first = self._first_vertices(x)
         if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
-        return path_to_root(self.graph.vertices, self._parents, x[0], int(first[0]))
+        return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _settled(self, x: ArrayLike) -> ArrayLike:
         # Move points that rounding to 32 bits has put outside the domain or into obstacles.

@@ -239,7 +239,7 @@ class VisibilityGraph(PickledWithoutCaches):
         distance, turn = self._first_turns(x[None])
         if not np.isfinite(distance[0]):
             return np.empty((0, 2))
-        return path_to_root(self.graph.vertices, self._parents, x, int(turn[0]))
+        return path_to_root(self.graph, self._parents, x, int(turn[0]))
 
     def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         """Return unit vectors, ``(n, 2)``, along which shortest paths from points ``(n, 2)`` start.
@@ -374,15 +374,15 @@ class NearestPaths:
     """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
 
     Paths may also take the arcs of ``CornerVisibility``. The *sources* are the goals, without copies, then the
-    corners. A source is a root if the path from it starts by using a goal or an arc. Root number ``i`` uses goal
-    ``i``, and root number ``g + i`` takes arc ``i``, where ``g`` is the number of goals.
+    corners. A source is a root if the path from it ends there, at a goal, or takes an arc from there. Roots at goal
+    ``i`` have the number ``i``. Roots that take arc ``i`` have the number ``g + i``, where ``g`` is the number of
+    goals.
     """
 
     dim: ClassVar[int] = 2
     workspace: Workspace
     sources: Sources
-    roots: Int[np.ndarray, " sources"]  # number of each root; -1 for other sources
-    exits: Int[np.ndarray, " sources"]  # source where the path of a root goes on; itself for other sources and goals
+    root_numbers: Int[np.ndarray, " sources"]  # those of `sources`
     regions: TurnRegions  # of all sources: paths may turn at a goal or place in any direction
     table: VisibilityTable
 
@@ -419,12 +419,12 @@ class NearestPaths:
         adjacency = Graph(points, edges, arcs=arcs).adjacency
         distances, parents = dijkstra(adjacency, end)
         # 4. Find the roots: vertices whose paths start with an arc. Of equal arcs, the first counts.
-        roots, exits = np.full(end, -1), np.arange(end)
+        numbers, exits = np.full(end, -1), np.arange(end)
         taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
-        roots[start[taken]] = number[taken]
+        numbers[start[taken]] = number[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
-        parents = np.where(roots < 0, parents[:-1], -1)
-        sources = replace(_sources(vertices.points, distances[:-1], parents), roots=roots, exits=exits)
+        parents = np.where(numbers < 0, parents[:-1], -1)
+        sources = replace(_sources(vertices.points, distances[:-1], parents), root_numbers=numbers, exits=exits)
         # 5. List the sources at which paths from each triangle may turn first. Directions are those between rounded
         #    points, as goals beside a corner may lie on another side of it before they are rounded.
         views = views.append(corners.views)
@@ -433,7 +433,7 @@ class NearestPaths:
         turns = replace(turns, points=vertices.points[turns.vertex])
         visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
         regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
-        return cls(workspace, sources, roots, exits, regions, joined_tables([table, corners.table]))
+        return cls(workspace, sources, numbers, regions, joined_tables([table, corners.table]))
 
     def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
         """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
@@ -452,11 +452,11 @@ class NearestPaths:
     def which(self, x: ArrayLike) -> Int[np.ndarray, " n"]:
         """Return the number of the root at which the path from each point ``(n, 2)`` ends; -1 without a path."""
         source, _ = self.first_turns(as_points("x", x, 2))
-        return np.where(source < 0, -1, self.roots[path_ends(self.sources.parents)[source]])
+        return np.where(source < 0, -1, self.root_numbers[path_ends(self.sources.parents)[source]])
 
     def reach(self, domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points without a path; None if there are none."""
-        return self.workspace.reach(self.sources.points[self.roots >= 0], domain)
+        return self.workspace.reach(self.sources.points[self.root_numbers >= 0], domain)
 
     def cell_sources(self, domain: Box) -> CellSources:
         """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first."""

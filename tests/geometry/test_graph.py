@@ -32,7 +32,7 @@ def test_dijkstra_equals_networkx(graph):
     assert parents[0] < 0 and (parents[np.isinf(distances)] < 0).all()
     places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}
     for vertex in expected:
-        path = path_to_root(graph.vertices, parents, np.array([-1.0, -1.0]), vertex)
+        path = path_to_root(graph, parents, np.array([-1.0, -1.0]), vertex)
         assert path[0].tolist() == [-1, -1] and path[-1].tolist() == graph.vertices[0].tolist()
         assert all(frozenset(map(tuple, step)) in places for step in itertools.pairwise(path[1:].tolist()))
         legs = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
