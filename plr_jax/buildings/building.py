@@ -92,13 +92,10 @@ class Building(PickledWithoutCaches):
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> np.ndarray:
         """Return points of floors as points of ``plane``; points of 32-bit floats are settled on their floor."""
         if np.asarray(x).dtype == np.float32:
-            floor, x = np.broadcast_arrays(np.asarray(floor)[..., None], x)
-            settled = x.astype(np.float64)
-            for k in np.unique(floor[..., 0]).tolist():
-                if 0 <= k < len(self.floors):
-                    rows = floor[..., 0] == k
-                    settled[rows] = self.floors[k].settled(x[rows])
-            floor, x = floor[..., 0], settled
+            floors, single = np.broadcast_arrays(np.asarray(floor)[..., None], x)
+            floor, x = floors[..., 0], single.astype(np.float64)
+            for k, workspace in enumerate(self.floors):
+                x[floor == k] = workspace.settled(single[floor == k])
         return self.plane_floors.in_plane(floor, x)
 
     def _placed(self, place: Place) -> np.ndarray:

@@ -33,14 +33,15 @@ class ReflexCorners:
 
     points: Float[np.ndarray, "corners 2"]
     # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second.
-    # Both are 0 if a path can turn on any side: at goals, and where obstacles touch if paths may pass between them.
+    # Both are 0 if a path can turn in any direction: at goals and places, and where obstacles touch if paths may pass
+    # between them.
     walls: Float[np.ndarray, "2 corners 2"]
     slack: float  # tolerance of tests on which side of a line through a corner a point lies
 
-    def with_goal(self, *goals: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners with goals inserted before the first corner."""
-        points = np.concatenate([np.stack(goals), self.points])
-        return ReflexCorners(points, np.insert(self.walls, [0] * len(goals), 0.0, axis=1), self.slack)
+    def with_points(self, points: Float[np.ndarray, "n 2"], index: int = 0) -> "ReflexCorners":
+        """Insert points, at which paths may turn in any direction, before the corner with the given index."""
+        at = [index] * len(points)
+        return ReflexCorners(np.insert(self.points, at, points, 0), np.insert(self.walls, at, 0.0, 1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
         is_other = (self.points != point).any(axis=1)
@@ -140,11 +141,7 @@ def with_places(
     sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a]) & (of[a] != of[b])
     pairs = np.stack([corner[joined], count + place[joined]], axis=1), count + np.stack([a[sees], b[sees]], axis=1)
     return CornerVisibility(
-        ReflexCorners(
-            np.concatenate([corners.points, places]),
-            np.concatenate([corners.walls, np.zeros((2, len(places), 2))], axis=1),
-            corners.slack,
-        ),
+        corners.with_points(places, count),
         visibility.views.append(views),
         joined_tables([visibility.table, table]),
         np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),

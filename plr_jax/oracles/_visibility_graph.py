@@ -92,7 +92,7 @@ class VisibilityGraph(PickledWithoutCaches):
         set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_table, _goal_edges=edges)
         # 3. Find shortest paths from all corners to the goal, and from where paths can go to each corner first.
         distances, parents = dijkstra(self.graph.adjacency, 0)
-        turns = find_turn_points(corners.corners.with_goal(goal_table.points[0]), distances, parents)
+        turns = find_turn_points(corners.corners.with_points(goal_table.points), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
@@ -406,7 +406,7 @@ class NearestPaths:
         kept = kept[copied]
         # 3. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
         #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
-        count, vertices = len(kept), corners.corners.with_goal(*goals[kept])
+        count, vertices = len(kept), corners.corners.with_points(goals[kept])
         table, (goal, corner) = views_in_sight(corners, mesh, views)
         goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
