@@ -112,9 +112,8 @@ class Building(PickledWithoutCaches):
         """
         pairs = [(floor, goal)] if goal is not None else floor
         if not isinstance(pairs, Sequence) or not pairs:
-            raise ValueError(
-                f"oracle needs a floor and a goal, or a list of pairs (floor, (x, y)), got {shortened(pairs)}."
-            )
+            form = "a floor and a goal (x, y), or a list of pairs (floor, (x, y))"
+            raise ValueError(f"oracle needs {form}, got {shortened(pairs)}.")
         goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
         for i, place in enumerate(goals):
             self._require_free(f"Goal {i}", place)

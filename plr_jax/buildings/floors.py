@@ -17,17 +17,20 @@ from plr_jax.plr.container import BUILDING_MAGIC
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
 PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
-_MOST_BYTES = 2**24  # of the floors in a file, decoded
-NO_PATH = -2  # instead of the index of the next link
-_UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
+_MOST_BYTES = 2**24  # most bytes of the JSON text of floors and links that a reader unpacks
+NO_PATH = -2  # takes the place of a link's index at points without a path
+# Floors are shifted by multiples of 1, in small buildings of the next power of two below this share of the largest
+# floor.
+_UNIT_SHARE = 2.0**-4
 
 
 def as_place(name: str, value: Any) -> Place:
-    """Check a pair of a floor's index and a finite point ``(x, y)``."""
+    """Check a pair of a floor's index and a finite point ``(x, y)``; ``name`` begins the message of an error."""
     if not (isinstance(value, tuple | list) and len(value) == 2):
         raise ValueError(f"{name} must be a pair (floor, (x, y)), got {shortened(value)}.")
-    require_integer(f"The floor of {name}", value[0], 0)
-    x, y = as_finite_point(f"The point of {name}", value[1], 2).tolist()
+    of = f"of {name[0].lower()}{name[1:]}"
+    require_integer(f"The floor {of}", value[0], 0)
+    x, y = as_finite_point(f"The point {of}", value[1], 2).tolist()
     return int(value[0]), (x, y)
 
 
@@ -96,7 +99,7 @@ class Floors:
         # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
         #    a partition do not reach into two floors once they are small.
         size = (self.hi - self.lo).max(axis=0)
-        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNITS * size.max())))
+        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNIT_SHARE * size.max())))
         cell = (np.ceil(size / unit) + 2) * unit
         bits = (len(self.lo) - 1).bit_length()
         shapes = [(1 << a, 1 << bits - a) for a in range(bits + 1)]

@@ -314,6 +314,12 @@ class TurnRegions:
     first: Int[np.ndarray, " triangles_plus_one"]
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
+    @staticmethod
+    def of(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> "TurnRegions":
+        """List the triangles that each turn sees in its cone; ``views`` are the turns as viewpoints."""
+        visits = triangles_within(triangulation, views, *turns.bounds)
+        return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
+
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         """Return the first corner and the length of each point's shortest path among paths that turn at a corner.
 

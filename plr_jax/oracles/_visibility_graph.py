@@ -29,12 +29,11 @@ from plr_jax.geometry.corners import (
     corner_visibility,
     find_turn_points,
     mutual_pairs,
-    views_by_triangle,
     views_in_sight,
 )
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables, viewpoints_at
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -141,9 +140,7 @@ class VisibilityGraph(PickledWithoutCaches):
     @cached_property
     def regions(self) -> TurnRegions:
         """The corners at which paths to the goal may turn first, listed for each triangle of free space."""
-        triangulation, views = self.workspace.triangulation, self.family.views[self._turns.vertex - 1]
-        visits = triangles_within(triangulation, views, *self._turns.bounds)
-        return TurnRegions(self._turns, triangulation, *views_by_triangle(triangulation, visits))
+        return TurnRegions.of(self._turns, self.workspace.triangulation, self.family.views[self._turns.vertex - 1])
 
     @cached_property
     def _goal_sight(self) -> PointSight:
@@ -431,8 +428,7 @@ class NearestPaths:
         rounded = replace(vertices, points=views.points)
         turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)
         turns = replace(turns, points=vertices.points[turns.vertex])
-        visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
-        regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
+        regions = TurnRegions.of(turns, mesh, views[turns.vertex])
         return cls(workspace, sources, numbers, regions, joined_tables([table, corners.table]))
 
     def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
