@@ -84,9 +84,9 @@ class Route:
 class Floors:
     """The floors of a building, side by side in one plane, and the links between them.
 
-    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie inside of ``domain``, a grid
-    of equal cells, and are at least ``unit`` apart. Each shift is a multiple of a unit, so that most coordinates stay
-    multiples of a centimeter, for example.
+    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie in ``domain``, a grid of
+    equal cells, one floor in each cell. Shifts are multiples of a unit, a power of two, so that few coordinates are
+    rounded when they are shifted. Floors are at least a unit apart.
     """
 
     lo: Corners  # of the floors' bounds
@@ -119,7 +119,7 @@ class Floors:
 
     @cached_property
     def arcs(self) -> list[tuple[int, Link]]:
-        """Links and their indices: each link from its start to its end and, if it leads both ways, in reverse."""
+        """Pairs of a link's index and the link in one direction: a link that leads both ways has two arcs."""
         arcs = []
         for i, link in enumerate(self.links):
             arcs.append((i, link))
@@ -158,10 +158,13 @@ class Floors:
             p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
         return module.where(inside[..., None] | module.isnan(p), p, np.inf)
 
-    def next_links(self, root: Any) -> Any:
-        """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""
+    def next_links(self, numbers: Any) -> Any:
+        """Return the link that each root takes, given the numbers of roots: -1 at a goal, ``NO_PATH`` for number -1.
+
+        Goals are numbered from 0, and arcs after them.
+        """
         links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
-        return root.__array_namespace__().asarray(links)[root]
+        return numbers.__array_namespace__().asarray(links)[numbers]
 
     def route(self, floor: int, start: Float[np.ndarray, "2"], source: int, sources: Sources) -> Route:
         """Return the route from a point of the plane, on a floor, straight to a source, and on to a goal.

@@ -87,7 +87,7 @@ class CornerVisibility:
     """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph.
 
     The last corners may be *places*: points of free space at which paths may turn in any direction, such as the ends
-    of stairs. Arcs join places whatever lies between them.
+    of stairs. Arcs join places, even through walls.
     """
 
     corners: ReflexCorners
@@ -96,8 +96,8 @@ class CornerVisibility:
     edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
     num_places: int = 0
     arcs: Arcs = NO_ARCS  # between corners
-    # The index of which arc, among those given to :func:`with_places`, each arc is a copy.
-    copied: Int[np.ndarray, " arcs"] = field(default_factory=lambda: np.zeros(0, int))
+    # The index of each arc among the arcs given to :func:`with_places`, which copies some.
+    given_arc: Int[np.ndarray, " arcs"] = field(default_factory=lambda: np.zeros(0, int))
 
     @property
     def places(self) -> Int[np.ndarray, " places"]:
@@ -121,10 +121,11 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def with_places(
     visibility: CornerVisibility, triangulation: Triangulation, places: Float[np.ndarray, "places 2"], arcs: Arcs
 ) -> CornerVisibility:
-    """Return the corners with ``places``, distinct points of free space, after the last corner.
+    """Return the corners, which have no places yet, followed by ``places``, distinct points of free space.
 
-    ``arcs`` join places, by their indices in ``places``. A place where obstacles touch has a copy, with copies of its
-    arcs, for each sector of free space around it. So no path passes between the obstacles.
+    ``arcs`` join places, given by their indices in ``places``. Where obstacles touch, a place becomes several copies,
+    one for each sector of free space around it, each with copies of the place's arcs. So no path passes between the
+    obstacles.
     """
     # 1. Split places, and copy arcs: from each copy of the start to each copy of the end.
     corners, count = visibility.corners, len(visibility.corners.points)

@@ -392,7 +392,7 @@ class NearestPaths:
         offsets: Float[np.ndarray, " goals"],
     ) -> "NearestPaths":
         """Find the paths to ``goals``, points of free space; ``offsets`` are the costs of using each goal."""
-        # 1. Of equal goals, keep the cheapest.
+        # 1. Keep the cheapest of goals at one point.
         mesh, num_goals = workspace.triangulation, len(goals)
         place = mesh.place(goals).x
         order = np.argsort(offsets, kind="stable")
@@ -402,12 +402,13 @@ class NearestPaths:
         views, copied = viewpoints_at(mesh, goals[kept]).split()
         kept = kept[copied]
         # 3. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
-        #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
+        #    all paths. An arc leads there from each goal, whose length is the goal's offset. Dijkstra's algorithm
+        #    starts at this end, so all arcs are reversed.
         count, vertices = len(kept), corners.corners.with_points(goals[kept])
         table, (goal, corner) = views_in_sight(corners, mesh, views)
         goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
-        number = np.append(kept, num_goals + corners.copied)
+        number = np.append(kept, num_goals + corners.given_arc)
         start = np.append(np.arange(count), count + corners.arcs.start)
         onward = np.append(np.full(count, end), count + corners.arcs.end)
         arcs = Arcs(onward, start, np.append(offsets[kept], corners.arcs.length))
@@ -415,15 +416,15 @@ class NearestPaths:
         edges = np.concatenate([np.stack([goal, count + corner], axis=1), count + corners.edges])
         adjacency = Graph(points, edges, arcs=arcs).adjacency
         distances, parents = dijkstra(adjacency, end)
-        # 4. Find the roots: vertices whose paths start with an arc. Of equal arcs, the first counts.
+        # 4. Find the roots: vertices whose paths start with an arc. If equal arcs leave a vertex, the first counts.
         numbers, exits = np.full(end, -1), np.arange(end)
         taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
         numbers[start[taken]] = number[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
         parents = np.where(numbers < 0, parents[:-1], -1)
         sources = replace(_sources(vertices.points, distances[:-1], parents), root_numbers=numbers, exits=exits)
-        # 5. List the sources at which paths from each triangle may turn first. Directions are those between rounded
-        #    points, as goals beside a corner may lie on another side of it before they are rounded.
+        # 5. List the sources at which paths from each triangle may turn first. Compute the cones of turns from
+        #    rounded points: before rounding, a goal beside a corner may lie on another side of the corner's walls.
         views = views.append(corners.views)
         rounded = replace(vertices, points=views.points)
         turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)

@@ -335,7 +335,8 @@ class PairsFileData:
     listed: Int[np.ndarray, " entries"]
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
-    # Points of free space at which paths may turn in any direction: corners with the indices after those of `corner`.
+    # Points of free space at which paths may turn in any direction, such as ends of stairs. They count as corners,
+    # with indices after those of `corner`.
     places: Float[np.ndarray, "places 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     arcs: Arcs = NO_ARCS  # between places, given as indices of corners
 
