@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Int
 
-from plr_jax._arrays import PickledWithoutCaches, as_points, set_fields, shortened
+from plr_jax._arrays import PickledWithoutCaches, as_point, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility, with_places
@@ -79,49 +79,48 @@ class Building(PickledWithoutCaches):
 
     @cached_property
     def corners(self) -> CornerVisibility:
-        """The corners of all floors and the ends of links, and what they see: all goals share them."""
+        """The corners of all floors and the ends of links, and what they see. All goals share them."""
         corners, mesh, arcs = corner_visibility(self.plane), self.plane.triangulation, self.plane_floors.arcs
         if not arcs:
             return corners
         # Ends of links at one place, up to the rounding of the triangulation, are one corner.
-        ends = np.stack([self._placed(place) for _, link in arcs for place in (link.start, link.end)])
+        ends = np.stack([self._place_in_plane(place) for _, link in arcs for place in (link.start, link.end)])
         _, first, place = np.unique(mesh.place(ends).x, axis=0, return_index=True, return_inverse=True)
         lengths = np.array([link.cost for _, link in arcs])
         return with_places(corners, mesh, ends[first], Arcs(place[0::2], place[1::2], lengths))
 
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> np.ndarray:
-        """Return points of floors as points of ``plane``; points of 32-bit floats are settled on their floor."""
+        """Return points of floors as points of ``plane``.
+
+        Points of 32-bit floats first move into their floor's free space as by :meth:`Workspace.settled`.
+        """
         if np.asarray(x).dtype == np.float32:
-            floor, x = np.broadcast_arrays(np.asarray(floor)[..., None], x)
-            settled = x.astype(np.float64)
-            for k in np.unique(floor[..., 0]).tolist():
-                if 0 <= k < len(self.floors):
-                    rows = floor[..., 0] == k
-                    settled[rows] = self.floors[k].settled(x[rows])
-            floor, x = floor[..., 0], settled
+            floors, single = np.broadcast_arrays(np.asarray(floor)[..., None], x)
+            floor, x = floors[..., 0], single.astype(np.float64)
+            for k, workspace in enumerate(self.floors):
+                x[floor == k] = workspace.settled(single[floor == k])
         return self.plane_floors.in_plane(floor, x)
 
-    def _placed(self, place: Place) -> np.ndarray:
-        """Return a free place as a point of ``plane``; by rounding, it may lie outside the bounds."""
+    def _place_in_plane(self, place: Place) -> np.ndarray:
+        """Return a free place as a point of ``plane``, moved into the bounds if it is outside by rounding."""
         floor, point = place
         bounds = self.floors[floor].bounds
         return self.in_plane(floor, np.clip(point, bounds.lo, bounds.hi))
 
     def oracle(self, floor: Any, goal: ArrayLike | None = None) -> "BuildingOracle":
-        """Return the exact distance to a goal ``(x, y)`` on a floor, over floors and links.
+        """Return the function of exact distances to a goal ``(x, y)`` on a floor, over floors and links.
 
         For the nearest of several goals, pass a list of pairs: ``building.oracle([(0, (1, 2)), (3, (4, 5))])``. All
         oracles of a building share its preprocessing. ``ValueError`` if a goal is not in free space.
         """
         pairs = [(floor, goal)] if goal is not None else floor
         if not isinstance(pairs, Sequence) or not pairs:
-            raise ValueError(
-                f"oracle needs a floor and a goal, or a list of pairs (floor, (x, y)), got {shortened(pairs)}."
-            )
+            form = "a floor and a goal (x, y), or a list of pairs (floor, (x, y))"
+            raise ValueError(f"oracle needs {form}, got {shortened(pairs)}.")
         goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
         for i, place in enumerate(goals):
             self._require_free(f"Goal {i}", place)
-        points = np.stack([self._placed(place) for place in goals])
+        points = np.stack([self._place_in_plane(place) for place in goals])
         return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, np.zeros(len(goals))))
 
 
@@ -159,23 +158,24 @@ class BuildingOracle:
         return self.floors.next_links(self.paths.which(self.building.in_plane(floor, x)))
 
     def shortest_path(self, floor: int, x: ArrayLike) -> Route:
-        """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal."""
-        start = self.building.in_plane(floor, as_points("x", [x], 2))
+        """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal, where its last leg ends."""
+        as_point("The start", x, 2)
+        start = self.building.in_plane(floor, np.asarray(x)[None])
         (source,), _ = self.paths.first_turns(start)
-        sources, of_sources = self.paths.sources, (self.paths.roots, self.paths.exits)
-        return self.floors.route(int(floor), start[0], int(source), sources.points, sources.parents, *of_sources)
+        return self.floors.route(int(floor), start[0], int(source), self.paths.sources)
 
     def __getitem__(self, floor: int) -> NearestGoal:
         """Return the distance function of one floor, from points ``(n, 2)``; ``construct`` and others take it.
 
-        Its goals are the goals on the floor and the links that shortest paths take, with what the path costs from
-        there as offsets. ``ValueError`` if no goal can be reached from the floor.
+        Its goals are the goals on the floor, and the starts of links that shortest paths take. The offset of such a
+        start is its distance to the nearest goal of the building. ``ValueError`` if no goal can be reached from the
+        floor.
         """
         building, sources = self.building, self.paths.sources
         if not 0 <= floor < len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
-        root = np.flatnonzero(self.paths.roots >= 0)
+        root = np.flatnonzero(self.paths.root_numbers >= 0)
         points = sources.points[root] - shift
         clipped = np.clip(points, bounds.lo, bounds.hi)
         here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
@@ -188,8 +188,9 @@ class BuildingOracle:
     def construct(self, leaf: Any = "cone", **options: Any) -> "BuildingPLR":
         """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
 
-        For bounds, pass ``certified=True``. A budget is shared by all floors, so that the largest errors shrink.
-        Raises what :func:`construct` raises.
+        For bounds, pass ``certified=True``. All floors share one budget of bytes or leaves, which goes to the largest
+        errors. ``max_bytes`` does not count the floors and links in the file, which take some 100 bytes. Raises what
+        :func:`construct` raises.
         """
         from plr_jax.buildings.building_plr import BuildingPLR  # imports JAX
         from plr_jax.plr import construct

@@ -8,7 +8,7 @@ import numpy as np
 
 from plr_jax._arrays import index_of
 from plr_jax._compiled import serializable
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Sources
 from plr_jax.buildings.floors import Route
 from plr_jax.buildings.numpy_building import NumpyBuildingPLR
 from plr_jax.plr._trace import trace
@@ -38,25 +38,25 @@ class BuildingPLR(NumpyBuildingPLR):
         ``building`` is given, whose walls are then tested. A start without a path, or without a free one, has a route
         without legs.
         """
-        floors, sources = self.floors, self.plane.stored.sources
+        floors, stored = self.floors, self.plane.stored.sources
         traces = trace(self.plane, floors.in_plane(floor, starts), None if building is None else building.plane)
         # 1. Find the source to which each path goes first: its second point, or the start itself. Of several sources
         #    there, a path that ends takes a root, and another path takes a source with a parent.
         second = traces.paths[np.arange(len(traces)), np.minimum(1, np.maximum(traces.counts, 1) - 1)]
-        keys, first = sources.points @ [1, 1j], np.full(len(traces), -1)
+        keys, first = stored.points @ [1, 1j], np.full(len(traces), -1)
         for is_end in (False, True):
-            order = np.argsort(sources.is_root != is_end, kind="stable")
+            order = np.argsort(stored.is_root != is_end, kind="stable")
             order = order[np.unique(keys[order], return_index=True)[1]]
             rows = np.flatnonzero(traces.arrived & ((traces.counts <= 2) == is_end))
             first[rows] = order[index_of(keys[order], second[rows] @ [1, 1j])]
         # 2. Number the roots, and find where their links lead: to the sources nearest to the links' ends, of several
         #    to the one nearest to the goal.
-        roots, exits = np.full(len(sources.points), -1), np.arange(len(sources.points))
-        roots[sources.is_root] = sources.goals
-        for root in np.flatnonzero(roots >= floors.num_goals):
-            end_floor, end = floors.arcs[roots[root] - floors.num_goals][1].end
-            away = np.linalg.norm(sources.points - (end + floors.shift[end_floor]), axis=1)
-            exits[root] = np.lexsort([sources.offsets, away])[0]
-        on_sources = sources.points, sources.parent, roots, exits
+        numbers, exits = np.full(len(keys), -1), np.arange(len(keys))
+        numbers[stored.is_root] = stored.goals
+        for root in np.flatnonzero(numbers >= floors.num_goals):
+            end_floor, end = floors.arcs[numbers[root] - floors.num_goals][1].end
+            away = np.linalg.norm(stored.points - (end + floors.shift[end_floor]), axis=1)
+            exits[root] = np.lexsort([stored.offsets, away])[0]
+        sources = Sources(stored.points, stored.offsets, stored.parent, numbers, exits)
         rows = zip(np.broadcast_to(floor, len(traces)).tolist(), traces.paths[:, 0], first.tolist(), strict=True)
-        return [floors.route(*row, *on_sources) for row in rows]
+        return [floors.route(*row, sources) for row in rows]

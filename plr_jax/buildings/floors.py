@@ -7,28 +7,30 @@ from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_queries, require_integer, set_fields, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.container import BUILDING_MAGIC
 
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
 PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
-Sources: TypeAlias = Int[np.ndarray, " sources"]
-_MOST_BYTES = 2**24  # of the floors in a file, decoded
-NO_PATH = -2  # instead of the index of the next link
-_UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
+_MOST_BYTES = 2**24  # most bytes of the JSON text of floors and links that a reader unpacks
+NO_PATH = -2  # takes the place of a link's index at points without a path
+# Floors are shifted by multiples of 1, in small buildings of the next power of two below this share of the largest
+# floor.
+_UNIT_SHARE = 2.0**-4
 
 
 def as_place(name: str, value: Any) -> Place:
-    """Check a pair of a floor's index and a finite point ``(x, y)``."""
+    """Check a pair of a floor's index and a finite point ``(x, y)``; ``name`` begins the message of an error."""
     if not (isinstance(value, tuple | list) and len(value) == 2):
         raise ValueError(f"{name} must be a pair (floor, (x, y)), got {shortened(value)}.")
-    require_integer(f"The floor of {name}", value[0], 0)
-    x, y = as_finite_point(f"The point of {name}", value[1], 2).tolist()
+    of = f"of {name[0].lower()}{name[1:]}"
+    require_integer(f"The floor {of}", value[0], 0)
+    x, y = as_finite_point(f"The point {of}", value[1], 2).tolist()
     return int(value[0]), (x, y)
 
 
@@ -82,9 +84,9 @@ class Route:
 class Floors:
     """The floors of a building, side by side in one plane, and the links between them.
 
-    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie inside of ``domain``, a grid
-    of equal cells, and are at least ``unit`` apart. Each shift is a multiple of a unit, so that most coordinates stay
-    multiples of a centimeter, for example.
+    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie in ``domain``, a grid of
+    equal cells, one floor in each cell. Shifts are multiples of a unit, a power of two, so that few coordinates are
+    rounded when they are shifted. Floors are at least a unit apart.
     """
 
     lo: Corners  # of the floors' bounds
@@ -97,7 +99,7 @@ class Floors:
         # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
         #    a partition do not reach into two floors once they are small.
         size = (self.hi - self.lo).max(axis=0)
-        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNITS * size.max())))
+        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNIT_SHARE * size.max())))
         cell = (np.ceil(size / unit) + 2) * unit
         bits = (len(self.lo) - 1).bit_length()
         shapes = [(1 << a, 1 << bits - a) for a in range(bits + 1)]
@@ -117,7 +119,7 @@ class Floors:
 
     @cached_property
     def arcs(self) -> list[tuple[int, Link]]:
-        """Links and their indices: each link from its start to its end and, if it leads both ways, in reverse."""
+        """Pairs of a link's index and the link in one direction: a link that leads both ways has two arcs."""
         arcs = []
         for i, link in enumerate(self.links):
             arcs.append((i, link))
@@ -156,43 +158,36 @@ class Floors:
             p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
         return module.where(inside[..., None] | module.isnan(p), p, np.inf)
 
-    def next_links(self, root: Any) -> Any:
-        """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""
-        links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
-        return root.__array_namespace__().asarray(links)[root]
+    def next_links(self, numbers: Any) -> Any:
+        """Return the link that each root takes, given the numbers of roots: -1 at a goal, ``NO_PATH`` for number -1.
 
-    def route(
-        self,
-        floor: int,
-        start: Float[np.ndarray, "2"],
-        source: int,
-        points: Float[np.ndarray, "sources 2"],
-        parents: Sources,
-        roots: Sources,
-        exits: Sources,
-    ) -> Route:
-        """Return the route from a point of the plane, on a floor, to the source that comes first, and on to a goal.
-
-        Sources have ``points``, and ``parents``: the next source. ``roots`` has the number of each root, and -1 for
-        other sources; ``exits`` is the source where a path goes on that takes a root's link. If ``source`` is -1,
-        there is no path.
+        Goals are numbered from 0, and arcs after them.
         """
+        links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
+        return numbers.__array_namespace__().asarray(links)[numbers]
+
+    def route(self, floor: int, start: Float[np.ndarray, "2"], source: int, sources: Sources) -> Route:
+        """Return the route from a point of the plane, on a floor, straight to a source, and on to a goal.
+
+        ``source`` is an index in ``sources``, or -1 for no path.
+        """
+        numbers, exits = np.asarray(sources.root_numbers), np.asarray(sources.exits)
         legs, links, length, path = [], [], 0.0, [start]
-        for _ in range(len(points)):  # sources of a damaged file may form a circle
+        for _ in range(len(numbers)):  # sources of a damaged file may form a circle
             if source < 0:
                 break
-            path.append(points[source])
-            if roots[source] < 0:
-                source = int(parents[source])
+            path.append(sources.points[source])
+            if numbers[source] < 0:
+                source = int(sources.parents[source])
                 continue
-            # The leg ends at a goal, or at a link.
+            # The source is a root: the leg ends at a goal, or where a link starts.
             leg = np.stack(path)
             leg = leg[np.append(True, (leg[1:] != leg[:-1]).any(axis=1))]
             legs.append((floor, leg - self.shift[floor]))
             length += float(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum())
-            if roots[source] < self.num_goals:
+            if numbers[source] < self.num_goals:
                 return Route(legs, links, length)
-            index, link = self.arcs[roots[source] - self.num_goals]
+            index, link = self.arcs[numbers[source] - self.num_goals]
             links.append(index)
             length += link.cost
             source, (floor, end) = int(exits[source]), link.end

@@ -39,7 +39,7 @@ class NumpyBuildingPLR(OnFloors):
     def which(self, floor: ArrayLike, x: ArrayLike) -> Any:
         """Return the index ``(n,)`` of the link that paths take next: -1 to walk to the goal, -2 without a path.
 
-        Where two links are about equally good, the answer may be the other one. Needs cones, else ``ValueError``.
+        If paths by two links are about equally long, either link may be the answer. Needs cones, else ``ValueError``.
         """
         return self.floors.next_links(self.plane.which(self.floors.in_plane(floor, x)))
 

@@ -19,16 +19,17 @@ class BuildingPairs(OnFloors):
         pairs = plr_jax.construct_pairs(building)
         pairs((0, x), (2, y))  # (n,), from points x (n, 2) of floor 0 to points y of floor 2
 
-    A path may take links. With one-way links, the distance back may differ. It is a pytree, as ``plane`` is, a
-    :class:`PairPLR` whose methods ``prepared`` and ``to`` refuse links.
+    A path may take links. With one-way links, the distance back may differ. The attribute ``plane`` is a
+    :class:`PairPLR`, whose methods ``prepared`` and ``to`` raise ``ValueError`` if there are links. BuildingPairs are
+    a pytree of the arrays of ``plane``.
     """
 
     def __call__(self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike]) -> Float[Array, "*batch"]:
         """Return the distance from places ``x`` to places ``y``, ``(...)``, costs of links included.
 
-        Each is a pair ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
-        distance is ``inf`` without a path and outside a floor's bounds; errors are those of :func:`construct_pairs`,
-        with the width of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
+        Places are a pair ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
+        distance is ``inf`` without a path and outside a floor's bounds. :func:`construct_pairs` states the errors, in
+        widths of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
         """
         return self.plane(self.floors.in_plane(*x), self.floors.in_plane(*y))
 

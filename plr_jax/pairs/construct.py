@@ -309,18 +309,8 @@ def construct_stored(
         listed = order[place]
         leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
         by_leaf = np.lexsort((listed, leaf))
-        return PairsFileData(
-            domain,
-            outline,
-            point_of,
-            edges,
-            tree,
-            leaf[by_leaf],
-            listed[by_leaf],
-            rounding,
-            places=true[len(point_of) :],
-            arcs=arcs,
-        )
+        columns = tree, leaf[by_leaf], listed[by_leaf], rounding
+        return PairsFileData(domain, outline, point_of, edges, *columns, places=true[len(point_of) :], arcs=arcs)
 
     most = min(limits.max_leaves, most_leaves(num_corners))
     root = corners_seen(visibility, workspace.triangulation, domain)

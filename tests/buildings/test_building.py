@@ -130,6 +130,8 @@ def test_oracle_takes_an_index_or_an_index_for_each_point():
     oracle, (floor, x) = building.oracle(*GOAL), samples(building, 20)
     np.testing.assert_array_equal(np.concatenate([oracle(k, x[floor == k]) for k in (0, 1)]), oracle(floor, x))
     assert np.isinf(oracle(0, [(-1, 0), (8.1, 1), (21, 5)])).all(), "in a wall, and outside"
+    on_wall = np.array((8.2, 3), np.float32)
+    assert float(on_wall[0]) < 8.2 and oracle.shortest_path(0, on_wall).length == pytest.approx(np.hypot(1.8, 2))
 
 
 @pytest.mark.parametrize(
@@ -140,7 +142,7 @@ def test_oracle_takes_an_index_or_an_index_for_each_point():
         ([((0, (1, 1)), (1, (1, 1)), 2)], None, "links must be plr_jax.Link"),
         ([], (0, (1, 11)), "Goal 0 must be in free space, got (1.0, 11.0) on floor 0"),
         ([], (2, (1, 1)), "Goal 0 must be on a floor from 0 to 1, got floor 2"),
-        ([], ([], None), "oracle needs a floor and a goal, or a list of pairs"),
+        ([], ([], None), "oracle needs a floor and a goal (x, y), or a list of pairs"),
         ([], ([(0, 1, 2)], None), "Goal 0 must be a pair (floor, (x, y))"),
     ],
 )

@@ -141,7 +141,7 @@ def store_sources(
     index[order] = np.cumsum(is_new) - 1
     parent = index[parents[kept]]
     is_root = parent == np.arange(len(kept))
-    goals = None if sources.roots is None else sources.roots[kept[is_root]]
+    goals = None if sources.root_numbers is None else sources.root_numbers[kept[is_root]]
     root_offset = np.where(is_root, sources.distances[kept], 0).astype(np.float32).astype(np.float64)
     num_fine = int(np.count_nonzero(is_fine[kept]))
     return StoredSources(num_fine, exponent, fraction, code[kept], parent, root_offset, goals), index
@@ -332,17 +332,15 @@ class ConeFiles:
         is_kept, added = np.zeros(len(sources.parents), bool), source
         while len(added):
             is_kept[added] = True
-            ahead = (
-                [sources.parents[added]] if sources.exits is None else [sources.parents[added], sources.exits[added]]
-            )
+            ahead = [each[added] for each in (sources.parents, sources.exits) if each is not None]
             added = np.unique(np.concatenate(ahead))
             added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
         # 3. Encode them.
         columns = sources.points[kept], sources.distances[kept], np.searchsorted(kept, sources.parents[kept])
-        roots = None if sources.roots is None else sources.roots[kept]
+        numbers = None if sources.root_numbers is None else sources.root_numbers[kept]
         exits = None if sources.exits is None else np.searchsorted(kept, sources.exits[kept])
-        stored, index = store_sources(Sources(*columns, roots, exits), self.domain, self._is_off[kept])
+        stored, index = store_sources(Sources(*columns, numbers, exits), self.domain, self._is_off[kept])
         return StoredCones(stored, index[np.searchsorted(kept, source)])
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
