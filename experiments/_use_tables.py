@@ -342,7 +342,7 @@ def buildings(exact: dict[str, Any], costs: dict[str, Any], bounds: dict[str, An
     largest = max(row["largest"] for row in rows)
     goals, num = len(rows), sum(row["wrong"] for row in rows)
     return table + (
-        f"\n{costs['floors']} floors, {costs['links']} links, {costs['corners']:,} corners and ends of links. Errors: "
+        f"\n{costs['floors']} floors, {costs['links']} links, {costs['corners']:,} corners and link ends. Errors: "
         f"{costs['points']:,} points. Bounds: {bounds['rows'][0]['points']:,} points with a path. Preparing the "
         f"building takes {costs['preparing']:.2f} CPU s, another goal {costs['another_goal']:.3f} s. The oracle "
         f"beside an independent search by Shapely and NetworkX, {goals} goals, {exact['points']:,} points each: "
