@@ -37,7 +37,7 @@ from experiments._measures import timed
 from experiments._runner import Section, run
 from plr_jax import Building, BuildingPLR, Link, construct_pairs, scenes
 
-BUDGETS, PAIR_BYTES = (12_288, 24_576, 65_536), 262_144
+BUDGETS, PAIR_BYTES = (12_288, 24_576, 32_768), 262_144
 SEARCH_ERROR = 1e-9  # meters: a larger difference to the independent search counts as wrong
 _GOALS, _POINTS, _BOUNDED, _BATCH, _SINGLE, _RANDOM = 5, 2_000, 1_000_000, 100_000, 100, 300
 _FILES, _PAIRS = 3, 5  # of so many random buildings one has its file, or its pairs, checked
