@@ -321,3 +321,55 @@ def pedestrians(results: dict[str, Any], hard_points: dict[str, Any]) -> str:
         f"{results['cones']['max_bytes']:,} bytes: {'; '.join(notes)}. Bounds of pairs and of cones at {asked:,} "
         f"pairs of random points, and of points beside walls (`hard_points`): {broken} broken.\n"
     )
+
+
+def buildings(exact: dict[str, Any], costs: dict[str, Any], bounds: dict[str, Any], random: dict[str, Any]) -> str:
+    """Bytes, errors and seconds of a building's files, and wrong answers beside an independent search."""
+    broken = {row["budget"]: row["broken"] for row in bounds["rows"]}
+    table = formatted(
+        [{**row, "broken": broken[row["budget"]]} for row in costs["rows"]],
+        *(("budget", "{budget:,}"), ("file, bytes", "{bytes:,}"), ("CPU s", "{cpu_seconds:.1f}")),
+        *(("mean error, m", "{mean:.2g}"), ("largest", "{largest:.2g}"), ("proven", "{proven:.2g}")),
+        ("broken bounds", "{broken}"),
+        words=0,
+    )
+    checked = {part: dict(random[part]) for part in ("oracle", "file", "pairs")}
+    wrong = {
+        part: sum(n for name, n in found.items() if name not in ("points", "traced"))
+        for part, found in checked.items()
+    }
+    rows = exact["rows"]
+    largest = max(row["largest"] for row in rows)
+    goals, num = len(rows), sum(row["wrong"] for row in rows)
+    return table + (
+        f"\n{costs['floors']} floors, {costs['links']} links, {costs['corners']:,} corners and link ends. Errors: "
+        f"{costs['points']:,} points. Bounds: {bounds['rows'][0]['points']:,} points with a path. Preparing the "
+        f"building takes {costs['preparing']:.2f} CPU s, another goal {costs['another_goal']:.3f} s. The oracle "
+        f"beside an independent search by Shapely and NetworkX, {goals} goals, {exact['points']:,} points each: "
+        f"{num} differ by more than {exact['error']:g} m, largest difference {largest:.1e} m. "
+        f"On {random['buildings']} random buildings: {wrong['oracle']} wrong distances, next links and routes at "
+        f"{checked['oracle']['points']:,} points; {wrong['file']} broken bounds and wrong routes of files at "
+        f"{checked['file']['points']:,} points; {wrong['pairs']} wrong distances and bounds of "
+        f"{checked['pairs']['points']:,} pairs.\n"
+    )
+
+
+def building_speed(results: dict[str, Any]) -> str:
+    """Time of a query in a building: files, exact distances, NetworkX, pairs."""
+    rows = [["query, floors mixed", "CPU time a point", "elapsed"]]
+    names = {"exact": "exact, oracle"}
+    for row in results["rows"]:
+        name = names.get(row["what"], f"file of {results['bytes']:,} bytes, {row['what']}")
+        rows.append(
+            [f"{name}, batch of {results['batch']:,}", f"{row['cpu_ns']:,.0f} ns", f"{row['wall_ns']:,.0f} ns"]
+        )
+    pairs = results["pairs"]
+    name = f"any two places, file of {pairs['bytes']:,} bytes, JAX"
+    rows.append([name, f"{pairs['cpu_ns']:,.0f} ns", f"{pairs['wall_ns']:,.0f} ns"])
+    rows.append(["exact, oracle, one by one", f"{results['exact_us']:,.0f} us", ""])
+    rows.append(["exact, NetworkX and Shapely, one by one", f"{results['networkx_us']:,.0f} us", ""])
+    return markdown(rows, numbers=2) + (
+        f"\nNetworkX searches the oracle's visibility graph, which was built before. Pairs take "
+        f"{pairs['cpu_seconds']:.1f} CPU s to build; mean error over {pairs['pairs']:,} pairs {pairs['mean']:.1e} m, "
+        f"largest {pairs['largest']:.1e} m.\n"
+    )

@@ -116,6 +116,8 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "fleets": (distances.fleets, "fleets"),
     "shaping": (uses.shaping, "shaping.learning", "shaping.speed"),
     "families": (distances.families, "families"),
+    "buildings": (uses.buildings, *(f"buildings.{part}" for part in ("exact", "costs", "bounds", "random"))),
+    "building_speed": (uses.building_speed, "buildings.speed"),
     "query": (distances.query, "benchmark.query"),
     "first_answers": (first.fresh, "first_answers.fresh"),
     "small_costs": (

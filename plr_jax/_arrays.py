@@ -8,11 +8,12 @@ unless stated otherwise.
 import math
 import reprlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import reduce
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
@@ -234,8 +235,14 @@ def size_in_eighths(n: int) -> int:
     return -(-n // step) * step
 
 
-def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
-    """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all."""
+def padded(
+    rows: Shaped[np.ndarray, " n *row"], size: int | None = None, fill: ArrayLike = 0
+) -> Shaped[np.ndarray, " padded *row"]:
+    """Return a copy of ``rows`` with rows of ``fill`` appended, ``size`` rows in all.
+
+    If ``size`` is None, it is a power of two (:func:`padded_size`).
+    """
+    size = padded_size(len(rows)) if size is None else size
     return np.concatenate([rows, np.full((size - len(rows), *rows.shape[1:]), fill, rows.dtype)])
 
 
@@ -273,6 +280,19 @@ def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
 def slices(count: int, size: int | np.integer) -> Iterator[slice]:
     """Split ``count`` items into consecutive slices of ``size`` items; the last one may have fewer."""
     return (slice(begin, begin + size) for begin in range(0, count, size))
+
+
+def batches(rows: Any, size: int) -> Iterator[Any]:
+    """Yield consecutive slices of an array or a list, with at most ``size`` rows each; nothing if it is empty."""
+    return (rows[begin : begin + size] for begin in range(0, len(rows), size))
+
+
+def path_from_root(parents: Sequence[int] | Int[np.ndarray, " n"], node: int) -> list[int]:
+    """Return the nodes of a tree on the path from its root to a node; the root has a negative parent."""
+    path = [node]
+    while (parent := int(parents[path[-1]])) >= 0:
+        path.append(parent)
+    return path[::-1]
 
 
 def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
@@ -355,6 +375,20 @@ def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
     """
     advice = f" {when_changed}" if name.startswith(_MUTATORS) else ""
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
+
+
+def as_list(name: str, value: object, expected: str, fits: Callable[[Any], bool]) -> list[Any]:
+    """Check an iterable of one or more items, for each of which ``fits`` returns True, and return it as a list.
+
+    ``expected`` describes the items in error messages.
+    """
+    items = list(value) if isinstance(value, Iterable) else []
+    if not items:
+        raise ValueError(f"{name} must be a list of {expected}, got {shortened(value)}.")
+    for i, item in enumerate(items):
+        if not fits(item):
+            raise ValueError(f"{name} must be a list of {expected}, got {shortened(item)} at index {i}.")
+    return items
 
 
 def require_function(name: str, value: object) -> None:

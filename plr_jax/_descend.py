@@ -165,7 +165,7 @@ def _along_corners(
     num_goals, places = len(goals), find_corners(workspace)[0]
     for point in goals:
         places = places.without(point)
-    places = places.with_goal(*goals)
+    places = places.with_points(goals)
     points = places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
     field[:num_goals] = offsets = as_offsets(offsets, num_goals)

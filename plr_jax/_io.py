@@ -15,19 +15,20 @@ from plr_jax.plr.container import BUILDING_MAGIC, GRID_MAGIC, holds_pairs, read_
 
 
 def save(plr: PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs, path: str | os.PathLike) -> None:
-    """Write a PLR, a BuildingPLR, a PairPLR or GridPairs to a file, completely or not at all.
+    """Write a PLR, a BuildingPLR, a PairPLR, BuildingPairs or GridPairs to a file, completely or not at all.
 
     The file has ``plr.num_bytes`` bytes. To save a ``MetricPairs``, pass its attribute ``plr``. The files
     ``plr/portable/FORMAT.md`` and ``pairs/FORMAT.md`` document the formats. ``ValueError`` is raised for an object of
     another type and for an invalid ``path``, ``OSError`` if the file cannot be written.
     """
     if not isinstance(plr, PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs):
-        raise ValueError(f"Only a PLR, a BuildingPLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
+        kinds = "a PLR, a BuildingPLR, a PairPLR, BuildingPairs or GridPairs"
+        raise ValueError(f"Only {kinds} can be saved, got {shortened(plr)}.")
     write_atomically(file_path(path), plr.to_bytes())
 
 
 def load(path: str | os.PathLike) -> Any:
-    """Read a PLR, a BuildingPLR, a PairPLR or GridPairs that :func:`save` wrote.
+    """Read a PLR, a BuildingPLR, a PairPLR, BuildingPairs or GridPairs that :func:`save` wrote.
 
     The loaded object gives the same answers as the saved object, bit for bit.
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
-from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size
+from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size, path_from_root
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.graph import first_visible_in_parts
 from plr_jax.plr.sampling import lattice
@@ -152,8 +152,7 @@ class PathCosts:
             lo, hi = np.maximum(q - np.abs(part) / 2, domain.lo), np.minimum(q + np.abs(part) / 2, domain.hi)
             lower, upper, pulls = cost_bounds(motion_cost, self.cost_map, lo, hi)
             norm = motion_cost.norm(part)
-            lower = lower * norm + pulled(pulls, part)
-            upper = upper * norm + pulled(pulls, part)
+            lower, upper = (bound * norm + pulled(pulls, part) for bound in (lower, upper))
             leniency = np.maximum(end - begin, _LEAST_PART) / (end - begin)
             is_fine = (upper - lower <= tolerance * lower * leniency) | (halvings == _MOST_HALVINGS)
             np.add.at(cost, motion[is_fine], motion_costs(motion_cost, self.cost_map, q[is_fine], part[is_fine]))
@@ -340,13 +339,9 @@ class _Lookahead:
                     nodes.append(y[i])
                     parent.append(node)
                     heapq.heappush(frontier, (float(values[i]), len(nodes) - 1))
-            # 3. If the lowest of all is low enough, follow the parents back to x.
+            # 3. If the lowest of all is low enough, return the path to it.
             if len(order) and values[order[0]] < below:
-                node, chain = lowest, []
-                while node > 0:
-                    chain.append(nodes[node])
-                    node = parent[node]
-                return np.stack(chain[::-1])
+                return np.stack([nodes[node] for node in path_from_root(parent, lowest)[1:]])
         return None
 
     def _cells(self, x: Nodes) -> list[tuple[int, ...]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import as_finite, as_numbers, is_single, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups, require_workspace
-from plr_jax.robots import Robot, check_body, footprint, smaller_angle, team_dof
+from plr_jax.robots import Configurations, Robot, check_body, footprint, smaller_angle
 
+JointPath: TypeAlias = Float[np.ndarray, "steps robots dof"]
 _VERBS = {"starts": "starts", "goals": "has its goal"}
 
 
@@ -73,7 +74,7 @@ class Problem:
     @property
     def dof(self) -> int:
         """Length of each robot's configuration: 2 if no robot has a heading, else 3."""
-        return team_dof(self.robots)
+        return max(robot.dof for robot in self.robots)
 
     @property
     def rotation_weights(self) -> Float[np.ndarray, " robots"]:
@@ -86,15 +87,12 @@ def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np
     return np.array(weights) * [robot.dof == 3 for robot in robots]
 
 
-def motion_costs(
-    problem: Problem, q0: Float[np.ndarray, "*#batch robots dof"], q1: Float[np.ndarray, "*#batch robots dof"]
-) -> Float[np.ndarray, "*batch robots"]:
+def motion_costs(problem: Problem, q0: Configurations, q1: Configurations) -> Float[np.ndarray, "*batch"]:
+    """Return the costs ``(..., robots)`` of straight motions between joint configurations ``(..., robots, dof)``."""
     return straight_costs(q0, q1, problem.rotation_weights)
 
 
-def straight_costs(
-    q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
-) -> Float[np.ndarray, "*batch"]:
+def straight_costs(q0: Configurations, q1: Configurations, rotation_weight: ArrayLike) -> Float[np.ndarray, "*batch"]:
     """Return the costs of straight motions: lengths plus ``rotation_weight`` times the angles turned, in radians.
 
     ``rotation_weight`` is one number, or one per robot. Robots turn the shorter way. Without headings (``dof`` 2),
@@ -139,7 +137,7 @@ def require_problem(problem: object, path: object = None) -> None:
         raise ValueError(f"A path must be an array (steps, robots, dof), got {shortened(path)}. Pass its .path.")
 
 
-def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
+def as_path(problem: Problem, path: ArrayLike) -> JointPath:
     """Check a path, and return it as a float64 array ``(steps, robots, dof)``.
 
     If the path has 32-bit floats, a robot's first configuration is replaced by its start if both are equal up to
@@ -187,7 +185,7 @@ def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.n
 
     Configurations of 32-bit floats that lie in an obstacle only by rounding are moved out of the obstacle.
     """
-    robots, dof = problem.robots, team_dof(problem.robots)
+    robots, dof = problem.robots, problem.dof
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
     configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
     if is_single(value) and configurations.shape == (len(robots), dof):

@@ -81,18 +81,17 @@ class Sources:
     """The *sources* of a distance function: goals, and the points where shortest paths to the nearest goal may turn.
 
     The first segment of any shortest path ends at a source. Sources that reach a goal and are their own parents are
-    called *roots*: goals, and places such as a flight of stairs, whose path continues elsewhere. Sources at one place
-    must have equal distances, so that files may merge them.
+    called *roots*. A root is a goal, or a place such as the foot of a flight of stairs, from which the path jumps to
+    another source, the root's *exit*. Without ``exits``, sources at one place must have equal distances, so that
+    files may merge them.
     """
 
     points: Float[np.ndarray, "sources dim"]
     distances: Float[np.ndarray, " sources"]  # to the nearest goal; inf if no goal can be reached
     parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a root and if unreachable
-    # A number for each root, such as the index of its goal; other entries have no meaning. None: the only goal.
-    roots: Int[np.ndarray, " sources"] | None = None
-    exits: Int[np.ndarray, " sources"] | None = (
-        None  # source where a root's path continues; itself for others and goals
-    )
+    # The number of each root, such as the index of its goal; -1 for other sources. None: there is one goal.
+    root_numbers: Int[np.ndarray, " sources"] | None = None
+    exits: Int[np.ndarray, " sources"] | None = None  # itself for goals and other sources. None: all roots are goals
 
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports

@@ -12,20 +12,19 @@ must not lead from one part to another.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import is_single
-from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
+from plr_jax._problem import JointPath, Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups
 from plr_jax.robots import Robot, between, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
-Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
 _SLACK = 1e-3  # share of the distance by which a point may be outside of free space: less than any wall is thick
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
 
@@ -193,16 +192,12 @@ class _Encounter:
             begin[1::2] += size
         return smallest
 
-    @property
-    def first_collision(self) -> int:  # index of the first motion that collides
-        return int((self.smallest < -self.tolerance).argmax())
-
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
         # Halve intervals as in `smallest`, but keep all intervals that may have a collision, up to the first interval
         # that has a collision in its middle.
-        motion, begin = self.first_collision, np.zeros(1)
+        motion, begin = int((self.smallest < -self.tolerance).argmax()), np.zeros(1)
         size = 1.0
         while True:
             middle = self.clearances(motion + begin + size / 2)
@@ -218,7 +213,7 @@ class _Encounter:
             begin[1::2] += size
 
 
-def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
+def _encounters(problem: Problem, path: JointPath, margin: float) -> list[_Encounter]:
     """Return the pairs of objects whose clearance must be measured, sorted by the indices of their robots.
 
     Each robot is paired with the blocked region. Two robots are paired if they may collide, or may have the smallest
@@ -251,7 +246,7 @@ def _tolerance(workspace: Workspace) -> float:
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
-def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, int, int]]:
+def _least_clearances(robots: Sequence[Robot], path: JointPath) -> list[tuple[float, int, int]]:
     """Return, for each pair of robots, a lower bound of their clearance on the path, and the indices of both robots.
 
     Pairs come by ascending bound. Pairs of two points, which never collide, are left out.
@@ -295,7 +290,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
-def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
+def _find_crossing(problem: Problem, path: JointPath, margin: float) -> tuple[int, float, str] | None:
     """Find the first motion in which a point robot crosses a wall, or a contact (a point where obstacles touch).
 
     Return the robot's index, the index of the motion and a message, or None if there is no such motion. A point may
@@ -327,15 +322,13 @@ def _first_crossing(workspace: Workspace, track: Float[np.ndarray, "steps 2"], m
     # 1. Only motions that leave the free space, or pass a contact, can cross something.
     segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
     points: Any = shapely.points(track)
-    contacts = workspace.boundary.contact_tree
     is_doubtful = ~shapely.covers(workspace.free_space, segments)
-    is_doubtful[contacts.query(segments, predicate="dwithin", distance=margin)[0]] = True
+    is_doubtful |= workspace.boundary.touches_contact(segments, margin)
     # 2. In each row, find which parts the point may be in: in a *loose* row, all within the margin; else the nearest.
     #    A point near a contact at an end of its path is on all sides. Between two doubtful motions, it may be inside
     #    a thin wall.
     is_loose = np.pad(is_doubtful[:-1] & is_doubtful[1:], 1)
-    at_contact = contacts.query(points[[0, -1]], predicate="dwithin", distance=margin)[0]
-    is_loose[-at_contact] = True  # index 0 of both points is row 0, index 1 is row -1
+    is_loose[[0, -1]] |= workspace.boundary.touches_contact(points[[0, -1]], margin)
     # 3. Follow the point from part to part.
     part_before = None
     for k in np.flatnonzero(is_doubtful).tolist():
@@ -355,7 +348,7 @@ def _first_crossing(workspace: Workspace, track: Float[np.ndarray, "steps 2"], m
     return None
 
 
-def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | None:
+def _find_wrong_end(problem: Problem, path: JointPath) -> tuple[int, float, str] | None:
     for row, expected, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), expected[i, : robot.dof].tolist()
@@ -368,7 +361,7 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
     workspace = problem.workspace
     when = collision.first_moment
     # Take the smallest clearance at some moments of the first motion that collides: about minus the overlap's depth.
-    times = np.append(collision.first_collision + np.linspace(0.0, 1.0, 65), when)
+    times = np.append(int(when) + np.linspace(0.0, 1.0, 65), when)
     depth = min(float(collision.clearances(times).min()), -collision.tolerance)
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()

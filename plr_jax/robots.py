@@ -1,6 +1,5 @@
 """Robots as convex bodies: their shapes, their configurations, and straight motions between configurations."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -108,11 +107,6 @@ def side_offsets(core: Float[np.ndarray, "k 2"], x: Float[np.ndarray, "n 2"]) ->
     """
     side = np.roll(core, -1, axis=0) - core
     return cross_product((side / np.linalg.norm(side, axis=1, keepdims=True))[:, None], x - core[:, None])
-
-
-def team_dof(robots: Sequence[Robot]) -> int:
-    """Return the number of coordinates per robot in joint configurations: 3 if any robot has a heading, else 2."""
-    return max((robot.dof for robot in robots), default=2)
 
 
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:

@@ -29,12 +29,12 @@ def in_first_calls(stub: Callable) -> Callable:
     @wraps(stub)
     def checked(*args: Any, **kwargs: Any) -> Any:
         nonlocal check
-        check = check or beartype(stub)
         _calls[name] += 1
         if _calls[name] > 2 * CALLS:  # nested functions cannot be marked as not to check
             return stub(*args, **kwargs)
         if _calls[name] == 2 * CALLS:  # each call checks twice: arguments, then arguments and result
             _skip(*name)
+        check = check or beartype(stub)  # takes a millisecond, also for each new closure of a nested function
         return check(*args, **kwargs)
 
     return checked

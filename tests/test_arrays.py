@@ -84,6 +84,13 @@ def test_padded_size_is_given_or_power_of_two():
     assert [_arrays.padded_size(n, (1, 6)) for n in (0, 2, 7)] == [1, 6, 8]
 
 
+def test_batches_have_all_rows_in_order():
+    for rows in ([], [*"abcdefg"], np.arange(6)):
+        parts = [*_arrays.batches(rows, 3)]
+        assert [row for part in parts for row in part] == [*rows]
+        assert all(len(part) == 3 for part in parts[:-1]) and all(0 < len(part) <= 3 for part in parts[-1:])
+
+
 def test_masked_values_become_infinite():
     given = np.array([np.nan, -np.inf, 1.0])
     assert _arrays.as_values("f", given, 3) is given

@@ -13,7 +13,6 @@ from experiments import _dbcbs
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, validate
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import MotionTest
-from plr_jax.robots import team_dof
 
 UP = np.pi / 2
 ROOM = Workspace(((0, 0), (4, 4)), [box(3, 3.5, 3.5, 4), box(1.8, 1.8, 2.2, 2.2)])
@@ -114,7 +113,7 @@ def test_thin_walls_stop_all_robots(width):
         places = rotate(shapely.MultiPoint([(1, 2), (2, 0.5), (2 + width, 0.5), (2, 2), (3, 2)]))
         start, tip, other_tip, inside, end = shapely.get_coordinates(places)
         for robot, turn in ((POINT, 0), (DiscRobot(1e-8), 0), (DiscRobot(0.1), 0), (bar, 0), (bar, 1)):
-            dof = team_dof([robot])
+            dof = robot.dof
             rows = [[(*start, 0)[:dof]], [(*end, turn)[:dof]]]
             assert not report([robot], *rows, workspace=thin).valid
         assert not report([POINT], [start], [inside], [end], workspace=thin).valid
@@ -250,7 +249,7 @@ def test_team_report_is_the_worst_pair_report(seed):
     pairs, alone = [list(pair) for pair in combinations(range(6), 2)], []
     for pair in pairs:
         two = [team[i] for i in pair]
-        path = np.array([q0[pair], q1[pair]])[..., : team_dof(two)]
+        path = np.array([q0[pair], q1[pair]])[..., : max(robot.dof for robot in two)]
         alone.append(validate(Problem(hall, two, *path), path))
     result = validate(Problem(hall, team, q0, q1), [q0, q1])
     assert result.valid == all(report.valid for report in alone)

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Int
 
-from plr_jax._arrays import PickledWithoutCaches, as_points, set_fields, shortened
+from plr_jax._arrays import PickledWithoutCaches, as_point, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility, with_places
@@ -42,26 +42,26 @@ class Building(PickledWithoutCaches):
     links: tuple[Link, ...] = field(repr=False)
 
     def __init__(self, floors: Iterable[Workspace], links: Iterable[Link] = ()):
-        floors, links = (tuple(x) if isinstance(x, Iterable) else (x,) for x in (floors, links))
-        for floor in floors:
+        all_floors, all_links = tuple(floors), tuple(links)
+        for floor in all_floors:
             require_workspace(floor)
-        if len({floor.squeeze for floor in floors}) != 1:
-            raise ValueError(f"A building needs one or more floors with equal squeeze, got {shortened(floors)}.")
-        set_fields(self, floors=floors, links=links)
-        for i, link in enumerate(links):
+        if len({floor.squeeze for floor in all_floors}) != 1:
+            raise ValueError(f"A building needs one or more floors with equal squeeze, got {shortened(all_floors)}.")
+        set_fields(self, floors=all_floors, links=all_links)
+        for i, link in enumerate(all_links):
             if not isinstance(link, Link):
                 raise ValueError(f"links must be plr_jax.Link(start, end, cost), got {shortened(link)} at {i}.")
-            self.require_free(f"The start of link {i}", link.start)
-            self.require_free(f"The end of link {i}", link.end)
+            self._require_free(f"The start of link {i}", link.start)
+            self._require_free(f"The end of link {i}", link.end)
 
     def __repr__(self) -> str:
         return f"Building({len(self.floors)} floors, {len(self.links)} links)"
 
-    def require_free(self, name: str, place: Place) -> None:
+    def _require_free(self, name: str, place: Place) -> None:
         floor, point = place
         if floor >= len(self.floors):
             raise ValueError(f"{name} must be on a floor from 0 to {len(self.floors) - 1}, got floor {floor}.")
-        if not self.floors[floor].is_free([point])[0]:
+        if not self.floors[floor].is_free_to_tolerance(np.array([point]))[0]:
             raise ValueError(f"{name} must be in free space, got {point} on floor {floor}: move it.")
 
     @cached_property
@@ -79,43 +79,48 @@ class Building(PickledWithoutCaches):
 
     @cached_property
     def corners(self) -> CornerVisibility:
-        """The corners of all floors and the ends of links, and what they see: all goals share them."""
+        """The corners of all floors and the ends of links, and what they see. All goals share them."""
         corners, mesh, arcs = corner_visibility(self.plane), self.plane.triangulation, self.plane_floors.arcs
         if not arcs:
             return corners
         # Ends of links at one place, up to the rounding of the triangulation, are one corner.
-        ends = np.stack([self.in_plane(*place) for arc in arcs for place in (arc.start, arc.end)])
+        ends = np.stack([self._place_in_plane(place) for _, link in arcs for place in (link.start, link.end)])
         _, first, place = np.unique(mesh.place(ends).x, axis=0, return_index=True, return_inverse=True)
-        lengths = np.array([arc.cost for arc in arcs])
+        lengths = np.array([link.cost for _, link in arcs])
         return with_places(corners, mesh, ends[first], Arcs(place[0::2], place[1::2], lengths))
 
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> np.ndarray:
-        """Return points of floors as points of ``plane``; points of 32-bit floats are settled on their floor."""
+        """Return points of floors as points of ``plane``.
+
+        Points of 32-bit floats first move into their floor's free space as by :meth:`Workspace.settled`.
+        """
         if np.asarray(x).dtype == np.float32:
-            floor, x = np.broadcast_arrays(np.asarray(floor)[..., None], x)
-            settled = x.astype(np.float64)
-            for k in np.unique(floor[..., 0]).tolist():
-                if 0 <= k < len(self.floors):
-                    rows = floor[..., 0] == k
-                    settled[rows] = self.floors[k].settled(x[rows])
-            floor, x = floor[..., 0], settled
+            floors, single = np.broadcast_arrays(np.asarray(floor)[..., None], x)
+            floor, x = floors[..., 0], single.astype(np.float64)
+            for k, workspace in enumerate(self.floors):
+                x[floor == k] = workspace.settled(single[floor == k])
         return self.plane_floors.in_plane(floor, x)
 
+    def _place_in_plane(self, place: Place) -> np.ndarray:
+        """Return a free place as a point of ``plane``, moved into the bounds if it is outside by rounding."""
+        floor, point = place
+        bounds = self.floors[floor].bounds
+        return self.in_plane(floor, np.clip(point, bounds.lo, bounds.hi))
+
     def oracle(self, floor: Any, goal: ArrayLike | None = None) -> "BuildingOracle":
-        """Return the exact distance to a goal ``(x, y)`` on a floor, over floors and links.
+        """Return the function of exact distances to a goal ``(x, y)`` on a floor, over floors and links.
 
         For the nearest of several goals, pass a list of pairs: ``building.oracle([(0, (1, 2)), (3, (4, 5))])``. All
         oracles of a building share its preprocessing. ``ValueError`` if a goal is not in free space.
         """
         pairs = [(floor, goal)] if goal is not None else floor
         if not isinstance(pairs, Sequence) or not pairs:
-            raise ValueError(
-                f"oracle needs a floor and a goal, or a list of pairs (floor, (x, y)), got {shortened(pairs)}."
-            )
+            form = "a floor and a goal (x, y), or a list of pairs (floor, (x, y))"
+            raise ValueError(f"oracle needs {form}, got {shortened(pairs)}.")
         goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
         for i, place in enumerate(goals):
-            self.require_free(f"Goal {i}", place)
-        points = np.stack([self.in_plane(*place) for place in goals])
+            self._require_free(f"Goal {i}", place)
+        points = np.stack([self._place_in_plane(place) for place in goals])
         return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, np.zeros(len(goals))))
 
 
@@ -153,49 +158,39 @@ class BuildingOracle:
         return self.floors.next_links(self.paths.which(self.building.in_plane(floor, x)))
 
     def shortest_path(self, floor: int, x: ArrayLike) -> Route:
-        """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal."""
-        start = self.building.in_plane(floor, as_points("x", [x], 2))
+        """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal, where its last leg ends."""
+        as_point("The start", x, 2)
+        start = self.building.in_plane(floor, np.asarray(x)[None])
         (source,), _ = self.paths.first_turns(start)
-        sources, floors, legs, arcs = self.paths.sources, self.floors, [], []
-        if source < 0:
-            return floors.route([], [])
-        points = [start[0]]
-        while True:
-            points.append(sources.points[source])
-            if (root := sources.roots[source]) < 0:  # the path goes on to the next corner
-                source = sources.parents[source]
-                continue
-            path = np.stack(points)
-            legs.append((int(floor), path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]))
-            if root < len(self.goals):
-                return floors.route(legs, arcs)
-            arcs.append(int(root) - len(self.goals))
-            source, floor = sources.exits[source], floors.arcs[arcs[-1]].end[0]
-            points = []
+        return self.floors.route(int(floor), start[0], int(source), self.paths.sources)
 
     def __getitem__(self, floor: int) -> NearestGoal:
         """Return the distance function of one floor, from points ``(n, 2)``; ``construct`` and others take it.
 
-        Its goals are the goals on the floor and the links that shortest paths take, with what the path costs from
-        there as offsets. ``ValueError`` if no goal can be reached from the floor.
+        Its goals are the goals on the floor, and the starts of links that shortest paths take. The offset of such a
+        start is its distance to the nearest goal of the building. ``ValueError`` if no goal can be reached from the
+        floor.
         """
         building, sources = self.building, self.paths.sources
         if not 0 <= floor < len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
-        root = np.flatnonzero(sources.roots >= 0)
-        root = root[bounds.contains(sources.points[root] - shift)]
-        if not len(root):
+        root = np.flatnonzero(self.paths.root_numbers >= 0)
+        points = sources.points[root] - shift
+        clipped = np.clip(points, bounds.lo, bounds.hi)
+        here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
+        if not here.any():
             raise ValueError(f"No goal can be reached from floor {floor}.")
-        first, *others = np.clip(sources.points[root] - shift, bounds.lo, bounds.hi)
-        graph = VisibilityGraph(building.floors[floor], first)
+        root, (first, *others) = root[here], clipped[here]
+        graph: Any = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 
     def construct(self, leaf: Any = "cone", **options: Any) -> "BuildingPLR":
         """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
 
-        For bounds, pass ``certified=True``. A budget is shared by all floors, so that the largest errors shrink.
-        Raises what :func:`construct` raises.
+        For bounds, pass ``certified=True``. All floors share one budget of bytes or leaves, which goes to the largest
+        errors. ``max_bytes`` does not count the floors and links in the file, which take some 100 bytes. Raises what
+        :func:`construct` raises.
         """
         from plr_jax.buildings.building_plr import BuildingPLR  # imports JAX
         from plr_jax.plr import construct

@@ -8,10 +8,9 @@ import numpy as np
 
 from plr_jax._arrays import index_of
 from plr_jax._compiled import serializable
-from plr_jax._types import ArrayLike
-from plr_jax.buildings.floors import Floors, Route
+from plr_jax._types import ArrayLike, Sources
+from plr_jax.buildings.floors import Route
 from plr_jax.buildings.numpy_building import NumpyBuildingPLR
-from plr_jax.plr._plr import PLR, from_bytes
 from plr_jax.plr._trace import trace
 
 if TYPE_CHECKING:
@@ -28,8 +27,6 @@ class BuildingPLR(NumpyBuildingPLR):
     ``jax.vmap`` and, by ``x``, ``jax.grad``. It is a pytree of the arrays of ``plane``, a :class:`PLR`.
     """
 
-    plane: PLR
-
     def numpy(self) -> NumpyBuildingPLR:
         """Return the PLR as a function that needs no JAX, and is fast for single points."""
         return NumpyBuildingPLR(self.floors, self.plane.numpy())
@@ -41,45 +38,25 @@ class BuildingPLR(NumpyBuildingPLR):
         ``building`` is given, whose walls are then tested. A start without a path, or without a free one, has a route
         without legs.
         """
-        plane, sources = self.floors.in_plane(floor, starts), self.plane.stored.sources
-        traces = trace(self.plane, plane, None if building is None else building.plane)
-        of_start = np.broadcast_to(floor, len(traces)).tolist()
-        # 1. Find the source at which each path on the start's floor ends.
-        keys = sources.points @ [1, 1j]
-        order = np.argsort(np.where(sources.is_root, 0, 1), kind="stable")  # prefer roots
-        ends = traces.paths[np.arange(len(traces)), np.maximum(traces.counts, 1) - 1]
-        root = order[index_of(keys[order], ends @ [1, 1j])]
-        # 2. Follow the links: each root has a number, and its path continues at the source at the link's other end.
-        number = np.full(len(keys), -1)
-        number[sources.is_root] = sources.goals
-        routes = []
-        for k, (path, count, last) in enumerate(
-            zip(traces.paths, traces.counts.tolist(), root.tolist(), strict=True)
-        ):
-            legs, arcs = [], []
-            if traces.arrived[k]:
-                legs.append((of_start[k], path[:count]))
-                while (arc := int(number[last]) - self.floors.num_goals) >= 0:
-                    arcs.append(arc)
-                    leg_floor, point = self.floors.arcs[arc].end
-                    points = [np.array(point) + self.floors.shift[leg_floor]]
-                    last = int(np.linalg.norm(sources.points - points[0], axis=1).argmin())
-                    while sources.parent[last] != last:
-                        last = int(sources.parent[last])
-                        points.append(sources.points[last])
-                    legs.append((leg_floor, np.stack(points)))
-            routes.append(self.floors.route(legs, arcs))
-        return routes
-
-    def tree_flatten(self) -> tuple[tuple[PLR], str]:
-        return (self.plane,), self.floors.text
-
-    @classmethod
-    def tree_unflatten(cls, text: str, children: tuple[PLR]) -> "BuildingPLR":
-        return cls(Floors.of_text(text), *children)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> "BuildingPLR":
-        """Decode the bytes of a building's file; ``ValueError`` if they are invalid."""
-        floors, rest = Floors.read(data)
-        return cls(floors, from_bytes(rest))
+        floors, stored = self.floors, self.plane.stored.sources
+        traces = trace(self.plane, floors.in_plane(floor, starts), None if building is None else building.plane)
+        # 1. Find the source to which each path goes first: its second point, or the start itself. Of several sources
+        #    there, a path that ends takes a root, and another path takes a source with a parent.
+        second = traces.paths[np.arange(len(traces)), np.minimum(1, np.maximum(traces.counts, 1) - 1)]
+        keys, first = stored.points @ [1, 1j], np.full(len(traces), -1)
+        for is_end in (False, True):
+            order = np.argsort(stored.is_root != is_end, kind="stable")
+            order = order[np.unique(keys[order], return_index=True)[1]]
+            rows = np.flatnonzero(traces.arrived & ((traces.counts <= 2) == is_end))
+            first[rows] = order[index_of(keys[order], second[rows] @ [1, 1j])]
+        # 2. Number the roots, and find where their links lead: to the sources nearest to the links' ends, of several
+        #    to the one nearest to the goal.
+        numbers, exits = np.full(len(keys), -1), np.arange(len(keys))
+        numbers[stored.is_root] = stored.goals
+        for root in np.flatnonzero(numbers >= floors.num_goals):
+            end_floor, end = floors.arcs[numbers[root] - floors.num_goals][1].end
+            away = np.linalg.norm(stored.points - (end + floors.shift[end_floor]), axis=1)
+            exits[root] = np.lexsort([stored.offsets, away])[0]
+        sources = Sources(stored.points, stored.offsets, stored.parent, numbers, exits)
+        rows = zip(np.broadcast_to(floor, len(traces)).tolist(), traces.paths[:, 0], first.tolist(), strict=True)
+        return [floors.route(*row, sources) for row in rows]

@@ -1,10 +1,8 @@
 """The floors of a building as parts of one plane, and the links between floors. Needs only NumPy."""
 
 import json
-import struct
 import zlib
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
@@ -12,24 +10,27 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_queries, require_integer, set_fields, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.container import BUILDING_MAGIC
 
 Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y) on it
+PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
-_SIZE = struct.Struct("<I")  # of the floors in a file
-_MOST_BYTES = 2**24  # of the floors in a file, decoded
-NO_PATH = -2  # instead of the index of the next link
-_UNITS = 2.0**-4  # floors are shifted by multiples of 1, or of a power of two near this share of the largest floor
+_MOST_BYTES = 2**24  # most bytes of the JSON text of floors and links that a reader unpacks
+NO_PATH = -2  # takes the place of a link's index at points without a path
+# Floors are shifted by multiples of 1, in small buildings of the next power of two below this share of the largest
+# floor.
+_UNIT_SHARE = 2.0**-4
 
 
 def as_place(name: str, value: Any) -> Place:
-    """Check a pair of a floor's index and a finite point ``(x, y)``."""
+    """Check a pair of a floor's index and a finite point ``(x, y)``; ``name`` begins the message of an error."""
     if not (isinstance(value, tuple | list) and len(value) == 2):
         raise ValueError(f"{name} must be a pair (floor, (x, y)), got {shortened(value)}.")
-    require_integer(f"The floor of {name}", value[0], 0)
-    x, y = as_finite_point(f"The point of {name}", value[1], 2).tolist()
+    of = f"of {name[0].lower()}{name[1:]}"
+    require_integer(f"The floor {of}", value[0], 0)
+    x, y = as_finite_point(f"The point {of}", value[1], 2).tolist()
     return int(value[0]), (x, y)
 
 
@@ -47,9 +48,9 @@ class Link:
         ValueError: If an argument is invalid.
     """
 
-    start: Place
-    end: Place
-    cost: float
+    start: PlaceLike
+    end: PlaceLike
+    cost: float | int
     both_ways: bool = True
 
     def __post_init__(self) -> None:
@@ -63,16 +64,6 @@ class Link:
         )
 
 
-@dataclass(frozen=True)
-class Arc:
-    """A link in one direction."""
-
-    link: int
-    start: Place
-    end: Place
-    cost: float
-
-
 @dataclass(frozen=True, eq=False)
 class Route:
     """A path through a building.
@@ -84,7 +75,7 @@ class Route:
         length: Length of all legs plus the costs of links, in the units of the floors; ``inf`` without a path.
     """
 
-    legs: list[tuple[int, Float[np.ndarray, "m 2"]]]
+    legs: list[tuple[int, Float[np.ndarray, "_ 2"]]]
     links: list[int]
     length: float
 
@@ -93,9 +84,9 @@ class Route:
 class Floors:
     """The floors of a building, side by side in one plane, and the links between them.
 
-    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie inside of ``domain``, a grid
-    of equal cells, and are at least ``unit`` apart. Each shift is a multiple of a unit, so that most coordinates stay
-    multiples of a centimeter, for example.
+    Point ``x`` of floor ``k`` is the point ``x + shift[k]`` of the plane. All floors lie in ``domain``, a grid of
+    equal cells, one floor in each cell. Shifts are multiples of a unit, a power of two, so that few coordinates are
+    rounded when they are shifted. Floors are at least a unit apart.
     """
 
     lo: Corners  # of the floors' bounds
@@ -108,7 +99,7 @@ class Floors:
         # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
         #    a partition do not reach into two floors once they are small.
         size = (self.hi - self.lo).max(axis=0)
-        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNITS * size.max())))
+        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNIT_SHARE * size.max())))
         cell = (np.ceil(size / unit) + 2) * unit
         bits = (len(self.lo) - 1).bit_length()
         shapes = [(1 << a, 1 << bits - a) for a in range(bits + 1)]
@@ -127,12 +118,12 @@ class Floors:
         return self._layout[1]
 
     @cached_property
-    def arcs(self) -> list[Arc]:
-        """All links from their start to their end and, if they lead both ways, once more in reverse."""
+    def arcs(self) -> list[tuple[int, Link]]:
+        """Pairs of a link's index and the link in one direction: a link that leads both ways has two arcs."""
         arcs = []
         for i, link in enumerate(self.links):
-            arcs.append(Arc(i, link.start, link.end, link.cost))
-            arcs += [Arc(i, link.end, link.start, link.cost)] * link.both_ways
+            arcs.append((i, link))
+            arcs += [(i, replace(link, start=link.end, end=link.start))] * link.both_ways
         return arcs
 
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> Any:
@@ -167,19 +158,41 @@ class Floors:
             p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
         return module.where(inside[..., None] | module.isnan(p), p, np.inf)
 
-    def next_links(self, root: Any) -> Any:
-        """Return the link that each root takes: -1 for goals, ``NO_PATH`` for root -1. Roots are goals, then arcs."""
-        links = np.array([-1] * self.num_goals + [arc.link for arc in self.arcs] + [NO_PATH])
-        return root.__array_namespace__().asarray(links)[root]
+    def next_links(self, numbers: Any) -> Any:
+        """Return the link that each root takes, given the numbers of roots: -1 at a goal, ``NO_PATH`` for number -1.
 
-    def route(self, legs: Sequence[tuple[int, np.ndarray]], arcs: Sequence[int]) -> Route:
-        """Return the route of legs ``(floor, points of the plane)``, joined by the arcs of the given indices."""
-        if not legs:
-            return Route([], [], np.inf)
-        walked = sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for _, points in legs)
-        length = float(walked) + sum(self.arcs[arc].cost for arc in arcs)
-        legs = [(floor, points - self.shift[floor]) for floor, points in legs]
-        return Route(legs, [self.arcs[arc].link for arc in arcs], length)
+        Goals are numbered from 0, and arcs after them.
+        """
+        links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
+        return numbers.__array_namespace__().asarray(links)[numbers]
+
+    def route(self, floor: int, start: Float[np.ndarray, "2"], source: int, sources: Sources) -> Route:
+        """Return the route from a point of the plane, on a floor, straight to a source, and on to a goal.
+
+        ``source`` is an index in ``sources``, or -1 for no path.
+        """
+        numbers, exits = np.asarray(sources.root_numbers), np.asarray(sources.exits)
+        legs, links, length, path = [], [], 0.0, [start]
+        for _ in range(len(numbers)):  # sources of a damaged file may form a circle
+            if source < 0:
+                break
+            path.append(sources.points[source])
+            if numbers[source] < 0:
+                source = int(sources.parents[source])
+                continue
+            # The source is a root: the leg ends at a goal, or where a link starts.
+            leg = np.stack(path)
+            leg = leg[np.append(True, (leg[1:] != leg[:-1]).any(axis=1))]
+            legs.append((floor, leg - self.shift[floor]))
+            length += float(np.linalg.norm(np.diff(leg, axis=0), axis=1).sum())
+            if numbers[source] < self.num_goals:
+                return Route(legs, links, length)
+            index, link = self.arcs[numbers[source] - self.num_goals]
+            links.append(index)
+            length += link.cost
+            source, (floor, end) = int(exits[source]), link.end
+            path = [end + self.shift[floor]]
+        return Route([], [], np.inf)
 
     @cached_property
     def text(self) -> str:
@@ -195,14 +208,12 @@ class Floors:
         try:
             content = json.loads(text)
             lo, hi = (np.array(content[name], np.float64) for name in ("lo", "hi"))
-            if not (
-                lo.shape == hi.shape == (len(lo), 2) and len(lo) and (lo < hi).all() and np.isfinite([lo, hi]).all()
-            ):
-                raise ValueError("bounds of floors")
             floors = Floors(lo, hi, tuple(Link(*link) for link in content["links"]), content["goals"])
             require_integer("goals", floors.num_goals, 0)
-            if max((place[0] for arc in floors.arcs for place in (arc.start, arc.end)), default=0) >= len(lo):
-                raise ValueError("a link leads to an unknown floor")
+            dims = {Box(*corners).dim for corners in zip(lo, hi, strict=True)}
+            ends = [place[0] for link in floors.links for place in (link.start, link.end)]
+            if dims != {2} or max(ends, default=0) >= len(lo):
+                raise ValueError("a floor is no box in the plane, or a link leads to an unknown floor")
         except (TypeError, KeyError, ValueError, RecursionError) as error:
             raise ValueError(f"its floors and links are invalid: {error}") from None
         return floors
@@ -210,20 +221,45 @@ class Floors:
     def to_bytes(self) -> bytes:
         """Encode the floors for a file: compressed :attr:`text`, after its size."""
         data = zlib.compress(self.text.encode(), 9)
-        return BUILDING_MAGIC + _SIZE.pack(len(data)) + data
+        return BUILDING_MAGIC + len(data).to_bytes(4, "little") + data
 
     @staticmethod
     def read(data: bytes) -> "tuple[Floors, bytes]":
-        """Decode the floors at the beginning of a file; also return the rest of the file."""
-        start = len(BUILDING_MAGIC) + _SIZE.size
-        if not data.startswith(BUILDING_MAGIC) or len(data) < start:
-            raise ValueError("it does not start like the file of a building")
-        end = start + _SIZE.unpack(data[len(BUILDING_MAGIC) : start])[0]
-        decoder = zlib.decompressobj()
-        try:
-            text = decoder.decompress(data[start:end], _MOST_BYTES).decode()
+        """Decode the floors at the beginning of the file of a building; also return the rest of the file."""
+        start = len(BUILDING_MAGIC) + 4
+        end = start + int.from_bytes(data[len(BUILDING_MAGIC) : start], "little")
+        try:  # text longer than the limit is cut off, and then is no JSON
+            text = zlib.decompressobj().decompress(data[start:end], _MOST_BYTES).decode()
         except (zlib.error, UnicodeDecodeError) as error:
             raise ValueError(f"its floors and links are damaged: {error}") from None
-        if not decoder.eof or decoder.unused_data:
-            raise ValueError("its floors and links end too early, or are too long")
         return Floors.of_text(text), data[end:]
+
+
+@dataclass(frozen=True, eq=False)
+class OnFloors:
+    """A base class of functions of places, pairs ``(floor, x)``, that answer in the plane of all floors.
+
+    Attributes:
+        floors: Bounds of the floors, the links, and ``shift``.
+        plane: The function in the plane: point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
+    """
+
+    floors: Floors = field(repr=False)
+    plane: Any
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the file in bytes."""
+        return len(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """Return the bytes of the file: the floors and links, then the file of ``plane``."""
+        return self.floors.to_bytes() + self.plane.to_bytes()
+
+    # JAX needs both functions for the subclasses that are pytrees.
+    def tree_flatten(self) -> tuple[tuple[Any], str]:
+        return (self.plane,), self.floors.text
+
+    @classmethod
+    def tree_unflatten(cls, text: str, children: tuple[Any]) -> "OnFloors":
+        return cls(Floors.of_text(text), *children)

@@ -1,14 +1,14 @@
 """PLRs of whole buildings that are queried in NumPy, without JAX, and exported as C."""
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from plr_jax._files import file_path
 from plr_jax._types import ArrayLike
-from plr_jax.buildings.floors import Floors
+from plr_jax.buildings.floors import Floors, OnFloors
 from plr_jax.geometry.box import Box
 from plr_jax.plr.container import BUILDING_MAGIC, read_bytes
 from plr_jax.plr.frame import is_far
@@ -17,18 +17,11 @@ from plr_jax.plr.portable.writers import wrap_entries
 
 
 @dataclass(frozen=True, eq=False)
-class NumpyBuildingPLR:
+class NumpyBuildingPLR(OnFloors):
     """Distance to the nearest of a building's goals, over floors and links, without JAX: ``f(floor, x)``.
 
-    :func:`load_numpy` or :meth:`BuildingPLR.numpy` makes it.
-
-    Attributes:
-        floors: Bounds of the floors, the links, and ``shift``.
-        plane: The PLR of all floors, side by side: point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
+    :func:`load_numpy` or :meth:`BuildingPLR.numpy` makes it. ``plane`` is a :class:`NumpyPLR`.
     """
-
-    floors: Floors = field(repr=False)
-    plane: Any  # NumpyPLR; PLR in the subclass
 
     def __call__(self, floor: ArrayLike, x: ArrayLike) -> Any:
         """Return the distance ``(...)`` at points ``x`` ``(..., 2)`` of floors, an index or an array ``(...)``.
@@ -46,7 +39,7 @@ class NumpyBuildingPLR:
     def which(self, floor: ArrayLike, x: ArrayLike) -> Any:
         """Return the index ``(n,)`` of the link that paths take next: -1 to walk to the goal, -2 without a path.
 
-        Where two links are about equally good, the answer may be the other one. Needs cones, else ``ValueError``.
+        If paths by two links are about equally long, either link may be the answer. Needs cones, else ``ValueError``.
         """
         return self.floors.next_links(self.plane.which(self.floors.in_plane(floor, x)))
 
@@ -54,15 +47,6 @@ class NumpyBuildingPLR:
     def max_error(self) -> float | None:
         """Proven upper bound of the error; None without a proof."""
         return self.plane.max_error
-
-    @property
-    def num_bytes(self) -> int:
-        """Size of the file in bytes."""
-        return len(self.to_bytes())
-
-    def to_bytes(self) -> bytes:
-        """Return the bytes of the file: the floors and links, then the file of ``plane``."""
-        return self.floors.to_bytes() + self.plane.to_bytes()
 
     def c_header(self, name: str, compact: bool = False) -> str:
         """Return a C99 header with ``float NAME_distance(int floor, const float x[2])``; see :meth:`PLR.c_header`.
@@ -77,7 +61,8 @@ class NumpyBuildingPLR:
         lines = [self.plane.c_header(f"{name}_plane", compact), f"#ifndef {header}", f"#define {header}"]
         lo, hi = floors.lo.astype(np.float32), floors.hi.astype(np.float32)
         for table, rows in {"float {}_lo": lo, "float {}_hi": hi, "double {}_shift": floors.shift}.items():
-            entries = (f"{{{x}, {y}}}" for x, y in rows.astype(str))
+            suffix = "f" if table.startswith("float") else ""
+            entries = (f"{{{x}{suffix}, {y}{suffix}}}" for x, y in rows.astype(str))
             lines += [f"static const {table.format(name)}[{count}][2] = {{", *wrap_entries(entries), "};"]
         lines += [
             f"/* Distance to the goal from a point of floor 0 to {count - 1}: INFINITY outside the floor. */",
@@ -101,11 +86,6 @@ class NumpyBuildingPLR:
         ]
         return "\n".join(lines)
 
-    @classmethod
-    def from_bytes(cls, data: bytes) -> "NumpyBuildingPLR":
-        floors, rest = Floors.read(data)
-        return cls(floors, NumpyPLR(rest))
-
 
 def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:
     """Read a PLR, of a building or not, that :func:`save` wrote, without importing JAX.
@@ -116,6 +96,9 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:
     path = file_path(path)
     try:
         data = read_bytes(path)
-        return NumpyBuildingPLR.from_bytes(data) if data.startswith(BUILDING_MAGIC) else NumpyPLR(data)
+        if not data.startswith(BUILDING_MAGIC):
+            return NumpyPLR(data)
+        floors, rest = Floors.read(data)
+        return NumpyBuildingPLR(floors, NumpyPLR(rest))
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

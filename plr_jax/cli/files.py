@@ -187,6 +187,8 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
         if goal:
             raise ValueError(f"{file} is a PLR with a fixed goal: leave out --goal.")
         return content
+    if not hasattr(content, "to"):
+        raise ValueError(f"{file} has the distance between any two places of a building: build a PLR of one goal.")
     if not goal or len(goal) > 1:
         raise ValueError(f"{file} has the distance between any two points: give one of them with --goal X,Y.")
     return content.to(parse_goals(goal)[0])
@@ -235,7 +237,12 @@ def export(
         typer.echo(f"wrote {tables}: {len(header.table):,} bytes")
         text = header.text
     elif js:  # a module of pairs may keep both ends free
-        text = (content if hasattr(content, "to") and not goal else _distance_of(content, file, goal)).js_module()
+        distance = content if hasattr(content, "to") and not goal else _distance_of(content, file, goal)
+        if not hasattr(distance, "js_module"):
+            raise ValueError(
+                f"{file} is a PLR of a building, which becomes a C header or, by view, a page: not --js."
+            )
+        text = distance.js_module()
     else:
         text = _distance_of(content, file, goal).c_header(output.stem, compact=compact)
     write_atomically(output, text.encode())

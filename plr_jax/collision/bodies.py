@@ -8,7 +8,6 @@ the bulge, is a lower bound of the gap. Each bisection divides the bulge by four
 Motions that stay uncertain count as collisions.
 """
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
@@ -24,6 +23,7 @@ _CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clo
 _FEW = 24  # corners up to which the lowest one is searched exhaustively
 Column: TypeAlias = Float[np.ndarray, " n"]
 Columns: TypeAlias = tuple[Column, Column]
+Kernel: TypeAlias = Callable[..., Columns]
 Booleans: TypeAlias = Bool[np.ndarray, " n"]
 Sides: TypeAlias = Float[np.ndarray, "sides n"]
 Corners: TypeAlias = Float[np.ndarray, "2 _ n"]
@@ -73,9 +73,7 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
 
-def bisect(
-    kernel: Callable[..., Columns], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
-) -> Booleans:
+def bisect(kernel: Kernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = np.inf) -> Booleans:
     """Return whether each body of ``a`` stays ``reach`` away from the body of ``b`` in the same column.
 
     The bodies move at the same time. A negative ``reach`` allows overlaps. ``kernel`` returns two gaps for each pair

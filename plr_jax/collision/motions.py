@@ -4,7 +4,6 @@ During a motion, a robot stays in a circle around the motion's midpoint. Only pa
 are tested exactly. The tolerance of the exact tests is larger than the rounding errors of the circles.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import require_time
+from plr_jax._arrays import batches, require_time
 from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -29,7 +28,6 @@ OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
 OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
-Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
@@ -85,14 +83,14 @@ class TeamTrajectory:
         return np.divmod(np.concatenate(near), num_robots)
 
 
-def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
-    """Return the indices ``i`` for which two robots may meet if each stays in its i-th circle.
+def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Bool[np.ndarray, " n"]:
+    """Return, for each ``i``, whether two robots may meet if each stays in its i-th circle.
 
     The reference point of ``robot_a`` stays in circles of ``around_a``, the reference point of ``robot_b`` in circles
     of ``around_b``.
     """
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
-    return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
+    return (around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
@@ -116,8 +114,8 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
 
 
 def motions_apart(
-    robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
-) -> Apart:
+    robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = np.inf
+) -> Bool[np.ndarray, "*batch"]:
     """Return whether two robots stay apart while one moves from ``a0`` to ``a1`` and the other from ``b0`` to ``b1``.
 
     Configurations ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, with one
@@ -156,8 +154,7 @@ def motions_apart(
         size_a, size_b = half_a, half_b
     is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
     # 4. Test the undecided pairs exactly.
-    for begin in range(0, len(where[0]), _CHUNK_PAIRS):
-        rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
+    for rows in zip(*(batches(index, _CHUNK_PAIRS) for index in where), strict=True):
         qa0, qa1, qb0, qb1 = (np.broadcast_to(q, (*apart.shape, q.shape[-1]))[rows] for q in (a0, a1, b0, b1))
         a, b = moving_bodies(robot_a, qa0, qa1).with_size(size_a), moving_bodies(robot_b, qb0, qb1).with_size(size_b)
         apart[rows] = bisect(kernel, *((b, a) if is_swapped else (a, b)), reach, deadline)
@@ -170,7 +167,7 @@ class JointMotionTest:
 
     workspace: Workspace
     robots: Sequence[Robot]
-    deadline: float = math.inf
+    deadline: float = np.inf
 
     @cached_property
     def wall_tests(self) -> tuple[MotionTest, ...]:
@@ -190,7 +187,7 @@ class JointMotionTest:
             free[free] = self.apart(i, q0[free, i], q1[free, i], j, q0[free, j], q1[free, j])
         return free
 
-    def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:
+    def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Bool[np.ndarray, "*batch"]:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(

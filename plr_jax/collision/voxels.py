@@ -1,6 +1,6 @@
 """Tests whether a point or ball keeps clear of blocked voxels: at points, in boxes, and on straight motions."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from itertools import product
 
@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.geometry.voxels import Coordinates, Numbers, VoxelGrid, spread
 
-_MOTIONS_AT_ONCE = 1 << 14  # bounds the memory
 _ROWS_AT_ONCE = 1 << 18  # rows of voxels; bounds the memory
 _SHORT = 0.5  # pieces of motions up to this share of a voxel are tested against single voxels
 _NEARLY = 1 + 2.0**-49  # ratio of computed times within which rounding may have changed their order
@@ -82,20 +81,11 @@ def _rows_within(
         yield box, begin, end
 
 
-def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordinates, q1: Coordinates) -> Booleans:
-    batches = (slice(begin, begin + _MOTIONS_AT_ONCE) for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE))
-    return np.concatenate([np.zeros(0, bool), *(test(q0[:, batch], q1[:, batch]) for batch in batches)])
-
-
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     """Return whether each straight motion of a ball, with its center from ``q0`` to ``q1``, hits no blocked voxel.
 
     The result is exact up to rounding errors. Touching is allowed.
     """
-    return _in_batches(lambda a, b: _ball_keeps_clear(grid, a, b, radius), q0, q1)
-
-
-def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     # Bisect each motion until its parts are far from blocked voxels, the ball hits one in the middle of a part, or a
     # part is so short that the few voxels near it are tested exactly. A part is a motion, its begin and its width (as
     # shares of the motion; all parts are equally wide).
@@ -148,13 +138,12 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     # a sign; 0 if it is between the faces lo_a and hi_a. Half the derivative of the squared distance, the slope
     # sum_a change_a * excess_a(t), never decreases in t, and is linear between the times at which an axis crosses a
     # face. So the squared distance is least at the zero of the slope, or at an end of the motion.
-    lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
-    hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
+    lo, hi = (np.stack([faces[k + end] for faces, k in zip(grid.faces, voxel, strict=True)]) for end in (0, 1))
     change = q1 - q0
 
     def excess(time: Float[np.ndarray, " n"]) -> Coordinates:
         x = q0 + time * change
-        return np.maximum(x - hi, 0.0) - np.maximum(lo - x, 0.0)
+        return x - np.clip(x, lo, hi)
 
     # 1. Compute the slope at both ends of the motion, and at the times at which an axis crosses a face.
     crossing = [np.divide(face - q0, change, out=np.zeros_like(q0), where=change != 0) for face in (lo, hi)]
@@ -169,15 +158,7 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     return np.sum(excess(t0 + np.clip(fraction, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
 
-def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
-    """Return whether each straight motion of a point, from ``q0`` to ``q1``, enters no blocked voxel.
-
-    Touching is allowed.
-    """
-    return _in_batches(lambda a, b: _Traversal(grid, a, b).passes(), q0, q1)
-
-
-class _Traversal:
+class Traversal:
     """An exact traversal of voxels along many motions at once, from one crossed face to the next.
 
     A motion within a face or an edge touches several voxels at once. So the state of a motion is a set: the free
@@ -207,7 +188,10 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)  # in bytes, which are the voxels' indices in `padded.ravel()`
 
     def passes(self) -> Booleans:
-        """Return whether each motion passes: whether it can be in at least one free voxel at its end."""
+        """Return whether each straight motion of a point, from ``q0`` to ``q1``, enters no blocked voxel.
+
+        Touching is allowed. A motion passes if it can be in at least one free voxel at its end.
+        """
         # 1. A motion passes if no voxel is blocked in its bounding box.
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
@@ -223,9 +207,7 @@ class _Traversal:
                 return passes
             live = self._cross(rows, live)
 
-    def _cross(
-        self, rows: Int[np.ndarray, " some"], live: Bool[np.ndarray, "some corners"]
-    ) -> Bool[np.ndarray, "..."]:
+    def _cross(self, rows: Int[np.ndarray, " n"], live: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "..."]:
         # Move `at` across the next faces, and return in which of the voxels around that point each motion can be.
         # 1. Find the faces that each motion crosses next, and the free voxels around the crossing.
         step, layers = self.step[:, rows], self.layers[:, rows]

@@ -5,7 +5,6 @@ A grid over the bounds stores the clearance at each cell's center, and the walls
 walls near their cells or, for point robots, against all walls by ``Workspace.is_visible``.
 """
 
-import math
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -13,7 +12,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, require_time, take_ragged
+from plr_jax._arrays import batches, parts, require_time, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -35,7 +34,7 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 class MotionTest:
     """A test, with a deadline, whether straight motions keep a robot off obstacles and within the bounds."""
 
-    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
+    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = np.inf):
         self.workspace, self.robot = workspace, robot
         # 1. Choose cells about half as large as the robot. A robot no larger than the tolerance counts as a point.
         width = workspace.bounds.width
@@ -54,9 +53,8 @@ class MotionTest:
         # 3. Compute the clearance at each center, and the edges within reach: cell i has the edges
         #    _edge[_first[i] : _first[i + 1]].
         counts, edges, clearance = [], [], []
-        for begin in range(0, len(centers), _CENTERS):
+        for part in batches(centers, _CENTERS):
             require_time(deadline, _PURPOSE)
-            part = centers[begin : begin + _CENTERS]
             points = np.asarray(shapely.points(part))
             near, edge = workspace.edge_tree.query(points, predicate="dwithin", distance=reach)
             edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
@@ -65,15 +63,15 @@ class MotionTest:
         self._first, self._edge = np.append(0, np.cumsum(np.concatenate(counts))), np.concatenate(edges)
         self._clearance = np.concatenate(clearance)
 
-    def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
+    def __call__(self, q0: Configurations, q1: Configurations, deadline: float = np.inf) -> Booleans:
         """Return whether motions between finite configurations are collision-free, up to ``workspace.tolerance``.
 
         The result is exact, with one exception: it may be False if a robot turns within about 1e-7 of its size from a
         wall. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
         if len(q0) > _CHUNK:
-            chunks = (slice(begin, begin + _CHUNK) for begin in range(0, len(q0), _CHUNK))
-            return np.concatenate([self(q0[rows], q1[rows], deadline) for rows in chunks])
+            chunks = zip(batches(q0, _CHUNK), batches(q1, _CHUNK), strict=True)
+            return np.concatenate([self(*ends, deadline) for ends in chunks])
         # Clearances at the centers of grid cells decide most motions. The other motions are tested against walls.
         # 1. Cut each motion into equal pieces no longer than `_longest`. Bound the clearance from below on each piece
         #    and, in its middle (x, y), from above.
@@ -108,12 +106,10 @@ class MotionTest:
         The result is False for robots that are larger than a point, and if ``workspace.squeeze`` lets paths lead
         through contacts.
         """
-        is_at = np.zeros(q.shape[:-1], dtype=bool)
-        if self._is_point and not self.workspace.squeeze:
-            points: Any = shapely.points(q[..., :2].reshape(-1, 2))
-            tree, tolerance = self.workspace.boundary.contact_tree, self.workspace.tolerance
-            is_at.flat[tree.query(points, predicate="dwithin", distance=tolerance)[0]] = True
-        return is_at
+        if not self._is_point or self.workspace.squeeze:
+            return np.zeros(q.shape[:-1], dtype=bool)
+        points: Any = shapely.points(q[..., :2].reshape(-1, 2))
+        return self.workspace.boundary.touches_contact(points, self.workspace.tolerance).reshape(q.shape[:-1])
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
         """Return whether the robot is certainly free for all reference points in each circle, at any heading.
@@ -212,5 +208,5 @@ class IgnoredByCache(float):
 _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
-def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
+def motion_test(workspace: Workspace, robot: Robot, deadline: float = np.inf) -> MotionTest:
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))

@@ -264,10 +264,8 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
     width = domain.width * space.motion_cost.scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
     if 2.0 ** least.sum() > max_cells:
-        raise ValueError(
-            f"max_leaves must be at least {2 ** least.sum()} in a domain with {sum(domain.periodic)} periodic axes, "
-            f"got {max_cells}."
-        )
+        expected = f"at least {2 ** least.sum()} in a domain with {sum(domain.periodic)} periodic axes"
+        raise ValueError(f"max_leaves must be {expected}, got {max_cells}.")
     depth = np.maximum(least, np.rint(np.log2(width / width.min())).astype(np.int64))
     # 2. Fit the number of cells to the limits: join the most halved axes, or halve all axes.
     while 2.0 ** depth.sum() > max_cells:

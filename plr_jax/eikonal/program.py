@@ -40,6 +40,7 @@ Numbers: TypeAlias = Float[np.ndarray, " n"]
 Vectors: TypeAlias = Float[np.ndarray, "dim controls"]
 PerControl: TypeAlias = Float[np.ndarray, " controls"]
 Dofs: TypeAlias = Float[np.ndarray, " dofs"]
+Curve: TypeAlias = tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]  # breakpoints and values
 ROUNDING = 1e-9  # relative margin for rounding of values and slopes
 _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
@@ -142,9 +143,7 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     return CellCosts(motion_cost, cost_map, lower, upper, slope, least, most)
 
 
-def rescaling_of(
-    lowest: Numbers, highest: Numbers, factor: Numbers
-) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
+def rescaling_of(lowest: Numbers, highest: Numbers, factor: Numbers) -> Curve:
     """Return the breakpoints and the values of a piecewise linear function ``g`` such that ``g(u)`` is not too steep.
 
     In cell ``i``, a function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
@@ -326,7 +325,7 @@ class SlopeProgram:
         # The mean of a polynomial over a cell is the mean of its Bernstein coefficients.
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
-    def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
+    def rescaling(self, u: Dofs) -> Curve:
         # See `rescaling_of`: it makes `u` a lower bound, rounding included. Bernstein coefficients enclose the values
         # of `u` in a cell, and the largest factor of its gradient's coefficients holds for the gradient.
         space, mesh = self.space, self.space.mesh

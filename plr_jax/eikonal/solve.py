@@ -162,11 +162,9 @@ def solve_eikonal(
         # 3a. Estimate costs on a grid, some node of which must see each goal.
         leaves = _MAX_LEAVES[domain.dim] if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
-        nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
-        is_seen[first[guide.unseen]] = False
-        must_be_seen = f"The goal must be seen from a node of the grid of {nodes} nodes"
-        why = ": it is too close to obstacles. Move it, or leave out certified=False"
-        _require_goals(goal, is_seen, must_be_seen, why)
+        is_seen = np.isin(np.arange(len(goals)), first[guide.unseen], invert=True)
+        must = f"The goal must be seen from a node of the grid of {' x '.join(map(str, guide.cost.shape))} nodes"
+        _require_goals(goal, is_seen, must, ": it is too close to obstacles. Move it, or leave out certified=False")
         _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
         # 4a. Fit a PLR to the estimate. Its file also holds the bound by straight motions, which takes a part of it.
         leaf, options = "continuous", BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)
@@ -233,10 +231,8 @@ def _error_by_norm(fit: CellFit) -> Float[np.ndarray, " cells"]:
 
 def _require_costs(largest: float) -> None:
     if 0 < largest < _LEAST_COST:
-        raise ValueError(
-            f"Costs must come to {_LEAST_COST:g} somewhere, got at most {largest:g}, which 32 bits do not hold. "
-            "Give the domain, or the costs, in smaller units."
-        )
+        got = f"got at most {largest:g}, which 32 bits do not hold. Give the domain, or the costs, in smaller units"
+        raise ValueError(f"Costs must come to {_LEAST_COST:g} somewhere, {got}.")
 
 
 def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -> Reach:
@@ -460,5 +456,4 @@ class SampledSpace(CheckedFreeTest):
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
-        is_free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])
-        return np.asarray(is_free.all(axis=1))
+        return np.asarray(self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2]).all(axis=1))

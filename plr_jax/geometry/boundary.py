@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from plr_jax._arrays import PickledWithoutCaches, as_numbers, index_of, shortened, slices
+from plr_jax._arrays import PickledWithoutCaches, as_numbers, batches, index_of, shortened, slices
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import connected_groups
@@ -72,6 +72,12 @@ class Boundary(PickledWithoutCaches):
     @cached_property
     def contact_tree(self) -> shapely.STRtree:
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
+
+    def touches_contact(self, shapes: Any, distance: float) -> Bool[np.ndarray, " n"]:
+        """Return whether each Shapely shape comes within ``distance`` of a contact."""
+        touches = np.zeros(len(shapes), dtype=bool)
+        touches[self.contact_tree.query(shapes, predicate="dwithin", distance=distance)[0]] = True
+        return touches
 
     def feet(self, x: Vertices, within: float | None = None) -> tuple[Indices, Indices, Float[np.ndarray, "m 2"]]:
         """Project points ``x`` onto their nearest edges; points farther than ``within`` from all edges are left out.
@@ -229,7 +235,7 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     while len(regions) > 1:
-        regions = [shapely.disjoint_subset_union_all(regions[part]) for part in slices(len(regions), _REGIONS)]
+        regions = [shapely.disjoint_subset_union_all(some) for some in batches(regions, _REGIONS)]
     return regions[0]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import concatenated, parts, slices, take_ragged
+from plr_jax._arrays import batches, concatenated, parts, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
@@ -54,7 +54,7 @@ class FamilySamples:
         weight[elsewhere] = triangulation.locator.find(x[elsewhere])[1] >= -triangulation.tolerance
         # 2. Sample boxes at walls at the center of their largest free piece.
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
-        for batch in (at_wall[rows] for rows in slices(len(at_wall), _WALL_BOXES)):
+        for batch in batches(at_wall, _WALL_BOXES):
             pieces, box, _ = clip_to_boxes(triangles, lo[batch], hi[batch])
             area = areas(pieces)
             order = np.lexsort((-area, box))

@@ -1,6 +1,6 @@
 """The corners at which shortest paths turn, what each corner sees, and where paths to one goal turn first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeAlias
 
@@ -23,6 +23,7 @@ from plr_jax.geometry.visibility import (
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
+ViewCornerPairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a viewpoint and a corner, as indices
 _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 
@@ -32,14 +33,15 @@ class ReflexCorners:
 
     points: Float[np.ndarray, "corners 2"]
     # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second.
-    # Both are 0 if a path can turn on any side: at goals, and where obstacles touch if paths may pass between them.
+    # Both are 0 if a path can turn in any direction: at goals and places, and where obstacles touch if paths may pass
+    # between them.
     walls: Float[np.ndarray, "2 corners 2"]
     slack: float  # tolerance of tests on which side of a line through a corner a point lies
 
-    def with_goal(self, *goals: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners with goals inserted before the first corner."""
-        points = np.concatenate([np.stack(goals), self.points])
-        return ReflexCorners(points, np.insert(self.walls, [0] * len(goals), 0.0, axis=1), self.slack)
+    def with_points(self, points: Float[np.ndarray, "n 2"], index: int = 0) -> "ReflexCorners":
+        """Insert points, at which paths may turn in any direction, before the corner with the given index."""
+        at = [index] * len(points)
+        return ReflexCorners(np.insert(self.points, at, points, 0), np.insert(self.walls, at, 0.0, 1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
         is_other = (self.points != point).any(axis=1)
@@ -85,7 +87,7 @@ class CornerVisibility:
     """The corners at which shortest paths can turn, their visibility polygons, and the visibility graph.
 
     The last corners may be *places*: points of free space at which paths may turn in any direction, such as the ends
-    of stairs. Arcs join places whatever lies between them.
+    of stairs. Arcs join places, even through walls.
     """
 
     corners: ReflexCorners
@@ -94,6 +96,8 @@ class CornerVisibility:
     edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
     num_places: int = 0
     arcs: Arcs = NO_ARCS  # between corners
+    # The index of each arc among the arcs given to :func:`with_places`, which copies some.
+    given_arc: Int[np.ndarray, " arcs"] = field(default_factory=lambda: np.zeros(0, int))
 
     @property
     def places(self) -> Int[np.ndarray, " places"]:
@@ -102,7 +106,8 @@ class CornerVisibility:
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
-        return corner_of_vertex(self.table.boundary, self.views)
+        """The corner at each vertex of the boundary, -1 for none; places do not count."""
+        return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
@@ -116,34 +121,58 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def with_places(
     visibility: CornerVisibility, triangulation: Triangulation, places: Float[np.ndarray, "places 2"], arcs: Arcs
 ) -> CornerVisibility:
-    """Return the corners with ``places``, distinct points of free space, after the last corner.
+    """Return the corners, which have no places yet, followed by ``places``, distinct points of free space.
 
-    ``arcs`` join places, by their indices in ``places``.
+    ``arcs`` join places, given by their indices in ``places``. Where obstacles touch, a place becomes several copies,
+    one for each sector of free space around it, each with copies of the place's arcs. So no path passes between the
+    obstacles.
     """
+    # 1. Split places, and copy arcs: from each copy of the start to each copy of the end.
     corners, count = visibility.corners, len(visibility.corners.points)
-    views = viewpoints_at(triangulation, places)
-    table, (place, vertex) = visibility_of(triangulation, views)
-    # 1. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
-    pairs = np.unique(np.stack([place, visibility.of_vertex[vertex]]), axis=1)
-    place, corner = pairs[:, pairs[1] >= 0]
-    at = views.points[place]
-    joined = visibility.table.sees(corner, at) & corners.is_tangent_to(corner, at)
-    # 2. Join places that see each other.
+    views, of = viewpoints_at(triangulation, places).split()
+    first = np.searchsorted(of, np.arange(len(places) + 1))
+    start, arc = take_ragged(first, arcs.start)
+    end, row = take_ragged(first, arcs.end[arc])
+    places, copies = places[of], Arcs(count + start[row], count + end, arcs.length[arc[row]])
+    # 2. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
+    table, (place, corner) = views_in_sight(visibility, triangulation, views)
+    joined = corners.is_tangent_to(corner, views.points[place]) & views.joins(place, visibility.views, corner)
+    # 3. Join places that see each other.
     a, b = np.triu_indices(len(places), 1)
-    sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a])
+    sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a]) & (of[a] != of[b])
     pairs = np.stack([corner[joined], count + place[joined]], axis=1), count + np.stack([a[sees], b[sees]], axis=1)
     return CornerVisibility(
-        ReflexCorners(
-            np.concatenate([corners.points, places]),
-            np.concatenate([corners.walls, np.zeros((2, len(places), 2))], axis=1),
-            corners.slack,
-        ),
+        corners.with_points(places, count),
         visibility.views.append(views),
         joined_tables([visibility.table, table]),
         np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),
         len(places),
-        Arcs(count + arcs.start, count + arcs.end, arcs.length),
+        copies,
+        arc[row],
     )
+
+
+def views_in_sight(
+    visibility: CornerVisibility, triangulation: Triangulation, views: Viewpoints
+) -> tuple[VisibilityTable, ViewCornerPairs]:
+    """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
+    table, (view, vertex) = visibility_of(triangulation, views)
+    return table, mutual_pairs(visibility, table, view, visibility.of_vertex[vertex])
+
+
+def mutual_pairs(
+    visibility: CornerVisibility, table: VisibilityTable, view: Indices, corner: Indices
+) -> ViewCornerPairs:
+    """Return the pairs of a viewpoint and a corner that see each other, each pair once, sorted.
+
+    ``table`` has what the viewpoints see. Viewpoint ``view[i]`` sees the vertex at ``corner[i]`` (-1: no corner).
+    """
+    # Places are no vertices of the boundary, so `corner` lacks them: test every viewpoint and place.
+    owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), visibility.places))
+    sees = table.sees(owner, visibility.table.points[place])
+    pairs = np.stack([np.append(view, owner[sees]), np.append(corner, place[sees])])
+    view, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
+    return np.stack([view, corner])[:, visibility.table.sees(corner, table.points[view])]
 
 
 def mutually_visible_pairs(
@@ -170,8 +199,8 @@ def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "
 
     ``views`` are the corners at which paths can turn.
     """
-    corner, at_vertex = np.full(len(boundary.vertices), -1), views.at_vertex(boundary)
-    corner[boundary.edges[views.edge[at_vertex], 0]] = views.owner[at_vertex]
+    corner = np.full(len(boundary.vertices), -1)
+    corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
 
 
@@ -285,6 +314,12 @@ class TurnRegions:
     triangulation: Triangulation
     first: Int[np.ndarray, " triangles_plus_one"]
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
+
+    @staticmethod
+    def of(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> "TurnRegions":
+        """List the triangles that each turn sees in its cone; ``views`` are the turns as viewpoints."""
+        visits = triangles_within(triangulation, views, *turns.bounds)
+        return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         """Return the first corner and the length of each point's shortest path among paths that turn at a corner.

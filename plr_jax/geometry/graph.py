@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
-from plr_jax._arrays import index_of
+from plr_jax._arrays import path_from_root
 from plr_jax._types import Points
 
 if TYPE_CHECKING:
@@ -55,16 +55,13 @@ class Graph:
         """The lengths of edges and arcs from rows to columns as a sparse matrix; a stored entry 0 is a length."""
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
         ends, lengths = np.concatenate([self.edges, self.edges[:, ::-1]]), np.tile(self.lengths, 2)
-        if len(self.arcs.start):  # of arcs and edges between two vertices, keep the shortest: a matrix would add them
-            size, arcs = len(self.vertices), self.arcs
-            key, at_edge = arcs.start * size + arcs.end, ends @ [size, 1]
-            order = np.lexsort((arcs.length, key))
-            arc = order[np.append(True, key[order[1:]] != key[order[:-1]])]
-            place = index_of(key[arc], at_edge)
-            lengths = np.minimum(lengths, np.where(place < 0, np.inf, arcs.length[arc[place]]))
-            arc = np.delete(arc, place[place >= 0])
-            ends = np.concatenate([ends, np.stack([arcs.start[arc], arcs.end[arc]], axis=1)])
-            lengths = np.append(lengths, arcs.length[arc])
+        if len(self.arcs.start):
+            ends = np.concatenate([ends, np.stack([self.arcs.start, self.arcs.end], axis=1)])
+            lengths = np.append(lengths, self.arcs.length)
+            # From one vertex to another, keep the shortest edge or arc: the matrix would add their lengths.
+            order = np.argsort(lengths, kind="stable")
+            _, shortest = np.unique((ends @ [len(self.vertices), 1])[order], return_index=True)
+            ends, lengths = ends[order[shortest]], lengths[order[shortest]]
         return coo_array((lengths, tuple(ends.T)), shape=(len(self.vertices),) * 2).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
@@ -103,10 +100,7 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
 
     ``vertex`` is an index, and so are ``parents``; the root has a negative parent. Repeated points are left out.
     """
-    vertices = [vertex]
-    while (parent := int(parents[vertices[-1]])) >= 0:
-        vertices.append(parent)
-    path = np.concatenate([start[None], graph.vertices[vertices]])
+    path = np.concatenate([start[None], graph.vertices[path_from_root(parents, vertex)[::-1]]])
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 

@@ -70,6 +70,20 @@ class Viewpoints:
         owner = np.append(self.owner, len(self.points) + other.owner)
         return Viewpoints(np.concatenate([self.points, other.points]), owner, np.append(self.edge, other.edge))
 
+    def split(self) -> "tuple[Viewpoints, Indices]":
+        """Return viewpoints that look into at most one sector each, and the index of which point each is a copy."""
+        order = np.argsort(self.owner, kind="stable")
+        of = np.sort(np.append(self.owner, np.setdiff1d(np.arange(len(self.points)), self.owner)))
+        return Viewpoints(self.points[of], np.flatnonzero(np.isin(of, self.owner)), self.edge[order]), of
+
+    def joins(self, view: Indices, other: "Viewpoints", of_other: Indices) -> Bool[np.ndarray, " pairs"]:
+        """Return whether paths may pass between viewpoints of each pair: False for two sectors of one point."""
+        joins = (self.points[view] != other.points[of_other]).any(axis=1)
+        for pair in np.flatnonzero(~joins):
+            mine, others = self.edge[self.owner == view[pair]], other.edge[other.owner == of_other[pair]]
+            joins[pair] = not len(mine) or np.isin(mine, others).any()
+        return joins
+
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         """Return a vector from the viewpoint along the right wall of each sector."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]

@@ -307,7 +307,7 @@ class Workspace:
         moving, segments = moving[stays], segments[stays]
         free_space = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))
         is_doubted = ~shapely.covers(free_space, segments)
-        is_doubted[self.boundary.contact_tree.query(segments, predicate="dwithin", distance=tolerance)[0]] = True
+        is_doubted |= self.boundary.touches_contact(segments, tolerance)
         # 3. Test these exactly.
         if len(moving := moving[is_doubted]):
             mesh = self.triangulation

@@ -27,10 +27,11 @@ route = oracle.shortest_path(1, (13, 8))  # a plr_jax.Route
 print(route.length, route.links, route.legs)  # a leg is a floor and points (m, 2)
 ```
 
-The floor may also be an array `(n,)`, one index per point. Another goal needs little more time:
-`building.oracle(1, (5, 5))` shares the preprocessing. For the nearest of several goals, pass a list:
-`building.oracle([(0, (1, 1)), (0, (19, 1))])`. `oracle[1]` is the distance function of floor 1 alone, a
-`plr_jax.NearestGoal`.
+Links are named by their indices in `links`. The floor may also be an array `(n,)`, one index per point. Another goal
+needs little more time: `building.oracle(1, (5, 5))` shares the preprocessing. For the nearest of several goals, pass
+a list: `building.oracle([(0, (1, 1)), (0, (19, 1))])`; the last leg of a route ends at the nearest goal. `oracle[1]`
+is the distance function of floor 1 alone, a `plr_jax.NearestGoal`. If a lift must not be used, as in a fire, make a
+building without it.
 
 # Kilobytes, proofs, batches
 
@@ -67,7 +68,7 @@ pairs = plr_jax.construct_pairs(building)  # plr_jax.BuildingPairs
 print(pairs((0, x[:3]), (1, (5, 5))), pairs.bounds((0, x[:3]), (1, (5, 5))))
 ```
 
-Each place is a pair of a floor and points; batches are broadcast. With one-way links, the distance back differs.
+Places are a pair of a floor and points; batches are broadcast. With one-way links, the distance back differs.
 
 # Levels of a game: jumping down
 
@@ -103,7 +104,9 @@ reads them. In the file, a floor may be the name of a file beside it, such as `"
 
 # Limits
 
-Links do not queue, and take no time tables. Rooms from which no goal can be reached answer `inf`, except closer than
-1/64 of the width of `building.plane` to points that can. A floor takes as many cells as the largest one, so floors of
-a campus and of a closet share precision. `construct_pairs` takes at most 8,192 corners and ends of links in all.
+`max_bytes` does not count the floors and links in the file, some 100 bytes. For JavaScript, `plr.plane.js_module()`
+takes points of the plane. Links do not queue, and take no time tables. Rooms from which no goal can be reached answer
+`inf`, except closer than 1/64 of the width of `building.plane` to points that can. A floor takes as many cells as the
+largest one, so floors of a campus and of a closet share precision. `construct_pairs` takes at most 8,192 corners and
+ends of links in all.
 """

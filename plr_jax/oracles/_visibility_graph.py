@@ -25,18 +25,19 @@ from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
     TurnRegions,
+    ViewCornerPairs,
     corner_visibility,
     find_turn_points,
-    views_by_triangle,
+    mutual_pairs,
+    views_in_sight,
 )
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables, viewpoints_at
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
-Pairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a goal and a corner, as indices
-GoalsInSight: TypeAlias = tuple[VisibilityTable, Pairs]
+GoalsInSight: TypeAlias = tuple[VisibilityTable, ViewCornerPairs]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -90,7 +91,7 @@ class VisibilityGraph(PickledWithoutCaches):
         set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_table, _goal_edges=edges)
         # 3. Find shortest paths from all corners to the goal, and from where paths can go to each corner first.
         distances, parents = dijkstra(self.graph.adjacency, 0)
-        turns = find_turn_points(corners.corners.with_goal(goal_table.points[0]), distances, parents)
+        turns = find_turn_points(corners.corners.with_points(goal_table.points), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
@@ -120,7 +121,7 @@ class VisibilityGraph(PickledWithoutCaches):
         view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, (goal_table, seen) = changed_visibility(self.family, old_view, view, workspace, change)
-        goal_view = goal_table, _mutual_pairs(corners, goal_table, np.zeros(len(seen), int), seen)
+        goal_view = goal_table, mutual_pairs(corners, goal_table, np.zeros(len(seen), int), seen)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def __repr__(self) -> str:
@@ -139,9 +140,7 @@ class VisibilityGraph(PickledWithoutCaches):
     @cached_property
     def regions(self) -> TurnRegions:
         """The corners at which paths to the goal may turn first, listed for each triangle of free space."""
-        triangulation, views = self.workspace.triangulation, self.family.views[self._turns.vertex - 1]
-        visits = triangles_within(triangulation, views, *self._turns.bounds)
-        return TurnRegions(self._turns, triangulation, *views_by_triangle(triangulation, visits))
+        return TurnRegions.of(self._turns, self.workspace.triangulation, self.family.views[self._turns.vertex - 1])
 
     @cached_property
     def _goal_sight(self) -> PointSight:
@@ -364,18 +363,7 @@ def goals_in_sight(
     workspace: Workspace, corners: CornerVisibility, goals: Float[np.ndarray, "goals 2"]
 ) -> GoalsInSight:
     """Return what goals, distinct points of free space, see, and the pairs of a goal and a corner in mutual sight."""
-    table, (goal, vertex) = visibility_of(workspace.triangulation, viewpoints_at(workspace.triangulation, goals))
-    return table, _mutual_pairs(corners, table, goal, corners.of_vertex[vertex])
-
-
-def _mutual_pairs(corners: CornerVisibility, table: VisibilityTable, goal: Indices, corner: Indices) -> Pairs:
-    """Return the pairs of a goal and a corner that see each other; ``goal[i]`` sees ``corner[i]`` (-1: no corner)."""
-    # Places are no vertices, which expansion finds.
-    owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), corners.places))
-    sees = table.sees(owner, corners.table.points[place])
-    pairs = np.stack([np.append(goal, owner[sees]), np.append(corner, place[sees])])
-    goal, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
-    return np.stack([goal, corner])[:, corners.table.sees(corner, table.points[goal])]
+    return views_in_sight(corners, workspace.triangulation, viewpoints_at(workspace.triangulation, goals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,13 +371,15 @@ class NearestPaths:
     """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
 
     Paths may also take the arcs of ``CornerVisibility``. The *sources* are the goals, without copies, then the
-    corners. A source is a root if the path from it starts by using a goal or an arc. Root number ``i`` uses goal
-    ``i``, and root number ``g + i`` takes arc ``i``, where ``g`` is the number of goals.
+    corners. A source is a root if the path from it ends there, at a goal, or takes an arc from there. Roots at goal
+    ``i`` have the number ``i``. Roots that take arc ``i`` have the number ``g + i``, where ``g`` is the number of
+    goals.
     """
 
     dim: ClassVar[int] = 2
     workspace: Workspace
     sources: Sources
+    root_numbers: Int[np.ndarray, " sources"]  # those of `sources`
     regions: TurnRegions  # of all sources: paths may turn at a goal or place in any direction
     table: VisibilityTable
 
@@ -402,17 +392,23 @@ class NearestPaths:
         offsets: Float[np.ndarray, " goals"],
     ) -> "NearestPaths":
         """Find the paths to ``goals``, points of free space; ``offsets`` are the costs of using each goal."""
-        # 1. Of equal goals, keep the cheapest.
+        # 1. Keep the cheapest of goals at one point.
         mesh, num_goals = workspace.triangulation, len(goals)
         place = mesh.place(goals).x
-        order = np.lexsort((offsets, *place.T))
-        kept = np.sort(order[np.append(True, (place[order[1:]] != place[order[:-1]]).any(axis=1))])
-        # 2. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
-        #    all paths: an arc leads there from each goal. Paths are searched from their end, with all arcs reversed.
-        count, vertices = len(kept), corners.corners.with_goal(*goals[kept])
-        table, (goal, corner) = goals_in_sight(workspace, corners, goals[kept])
+        order = np.argsort(offsets, kind="stable")
+        _, cheapest = np.unique(place[order], axis=0, return_index=True)
+        kept = np.sort(order[cheapest])
+        # 2. Split goals where obstacles touch, so that no path to another goal passes there between the obstacles.
+        views, copied = viewpoints_at(mesh, goals[kept]).split()
+        kept = kept[copied]
+        # 3. Join goals and corners: goal i is vertex i, corner j is vertex count + j. The last vertex is the end of
+        #    all paths. An arc leads there from each goal, whose length is the goal's offset. Dijkstra's algorithm
+        #    starts at this end, so all arcs are reversed.
+        count, vertices = len(kept), corners.corners.with_points(goals[kept])
+        table, (goal, corner) = views_in_sight(corners, mesh, views)
+        goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
-        number = np.append(kept, num_goals + np.arange(len(corners.arcs.start)))
+        number = np.append(kept, num_goals + corners.given_arc)
         start = np.append(np.arange(count), count + corners.arcs.start)
         onward = np.append(np.full(count, end), count + corners.arcs.end)
         arcs = Arcs(onward, start, np.append(offsets[kept], corners.arcs.length))
@@ -420,19 +416,21 @@ class NearestPaths:
         edges = np.concatenate([np.stack([goal, count + corner], axis=1), count + corners.edges])
         adjacency = Graph(points, edges, arcs=arcs).adjacency
         distances, parents = dijkstra(adjacency, end)
-        # 3. Find the roots: vertices whose paths start with an arc. Of equal arcs, the first counts.
-        roots, exits = np.full(end, -1), np.arange(end)
+        # 4. Find the roots: vertices whose paths start with an arc. If equal arcs leave a vertex, the first counts.
+        numbers, exits = np.full(end, -1), np.arange(end)
         taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
-        roots[start[taken]] = number[taken]
+        numbers[start[taken]] = number[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
-        parents = np.where(roots < 0, parents[:-1], -1)
-        sources = replace(_sources(vertices.points, distances[:-1], parents), roots=roots, exits=exits)
-        # 4. List the sources at which paths from each triangle may turn first.
-        views = viewpoints_at(mesh, goals[kept]).append(corners.views)
-        turns = find_turn_points(vertices, sources.distances, parents, num_goals=0)
-        visits = triangles_within(mesh, views[turns.vertex], *turns.bounds)
-        regions = TurnRegions(turns, mesh, *views_by_triangle(mesh, visits))
-        return cls(workspace, sources, regions, joined_tables([table, corners.table]))
+        parents = np.where(numbers < 0, parents[:-1], -1)
+        sources = replace(_sources(vertices.points, distances[:-1], parents), root_numbers=numbers, exits=exits)
+        # 5. List the sources at which paths from each triangle may turn first. Compute the cones of turns from
+        #    rounded points: before rounding, a goal beside a corner may lie on another side of the corner's walls.
+        views = views.append(corners.views)
+        rounded = replace(vertices, points=views.points)
+        turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)
+        turns = replace(turns, points=vertices.points[turns.vertex])
+        regions = TurnRegions.of(turns, mesh, views[turns.vertex])
+        return cls(workspace, sources, numbers, regions, joined_tables([table, corners.table]))
 
     def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
         """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
@@ -451,11 +449,11 @@ class NearestPaths:
     def which(self, x: ArrayLike) -> Int[np.ndarray, " n"]:
         """Return the number of the root at which the path from each point ``(n, 2)`` ends; -1 without a path."""
         source, _ = self.first_turns(as_points("x", x, 2))
-        return np.where(source < 0, -1, self.sources.roots[path_ends(self.sources.parents)[source]])
+        return np.where(source < 0, -1, self.root_numbers[path_ends(self.sources.parents)[source]])
 
     def reach(self, domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points without a path; None if there are none."""
-        return self.workspace.reach(self.sources.points[self.sources.roots >= 0], domain)
+        return self.workspace.reach(self.sources.points[self.root_numbers >= 0], domain)
 
     def cell_sources(self, domain: Box) -> CellSources:
         """Return a box's convex pieces of free space, and for each piece the sources to which paths may go first."""

@@ -141,8 +141,7 @@ class Lists:
 
     def of_cells(self, rows: Int[np.ndarray, " some"]) -> "Lists":
         """Return the cells with the indices ``rows``, in this order, and their lists."""
-        first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
-        entries, cell = take_ragged(first, rows)
+        entries, cell = take_ragged(np.searchsorted(self.cell, np.arange(len(self.cells) + 1)), rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
 
     def append(self, other: "Lists") -> "Lists":
@@ -220,14 +219,10 @@ def _with_halves(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box,
     key = np.minimum(key, np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
     is_leaf[nodes] = False
-    unchanged = np.flatnonzero(is_leaf[leaves])
-    return _ListTree(
-        tree.lists.append(lists),
-        np.append(tree.key, key),
-        np.append(is_leaf, np.ones(len(halves), bool)),
-        np.append(tree.parent, np.repeat(nodes, 2)),
-        tree.visible.of_cells(unchanged).append(visible),
-    )
+    visible = tree.visible.of_cells(np.flatnonzero(is_leaf[leaves])).append(visible)
+    is_leaf = np.append(is_leaf, np.ones(len(halves), bool))
+    parents = np.append(tree.parent, np.repeat(nodes, 2))
+    return _ListTree(tree.lists.append(lists), np.append(tree.key, key), is_leaf, parents, visible)
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:
@@ -314,28 +309,17 @@ def construct_stored(
         listed = order[place]
         leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
         by_leaf = np.lexsort((listed, leaf))
-        return PairsFileData(
-            domain,
-            outline,
-            point_of,
-            edges,
-            tree,
-            leaf[by_leaf],
-            listed[by_leaf],
-            rounding,
-            places=true[len(point_of) :],
-            arcs=arcs,
-        )
+        columns = tree, leaf[by_leaf], listed[by_leaf], rounding
+        return PairsFileData(domain, outline, point_of, edges, *columns, places=true[len(point_of) :], arcs=arcs)
 
     most = min(limits.max_leaves, most_leaves(num_corners))
     root = corners_seen(visibility, workspace.triangulation, domain)
     pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
     data = pairs_data.to_bytes()
     if len(data) > limits.max_bytes:
-        raise ValueError(
-            f"max_bytes must leave room for free space and its corners, which alone take {len(data):,} bytes, got "
-            f"max_bytes={limits.max_bytes:,.0f}: raise it, or simplify the polygons."
-        )
+        expected = f"leave room for free space and its corners, which alone take {len(data):,} bytes"
+        advice = "raise it, or simplify the polygons"
+        raise ValueError(f"max_bytes must {expected}, got max_bytes={limits.max_bytes:,.0f}: {advice}.")
     return pairs_data, data
 
 
@@ -354,8 +338,7 @@ def _edges_in_file(order: _Indices, first: _Indices, a: _Indices, b: _Indices) -
     between = np.stack([start[row], end], axis=1)
     # 2. Join the file's corners at the same place in a chain, so that paths may pass from one to another: (4, 6).
     later = np.setdiff1d(np.arange(1, len(order)), first)  # all but the first at each place
-    chains = np.stack([later - 1, later], axis=1)
-    edges = order[np.concatenate([between, chains])]
+    edges = order[np.concatenate([between, np.stack([later - 1, later], axis=1)])]
     return np.unique(np.sort(edges, axis=1)[:, ::-1], axis=0)[:, ::-1]
 
 

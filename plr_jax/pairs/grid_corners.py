@@ -108,9 +108,7 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
     return np.divmod(np.unique(np.concatenate(keys)), max(len(places), 1))
 
 
-def taut_corners(
-    free: Grid, connectivity: int
-) -> tuple[Int[np.ndarray, " cells_plus_one"], Int32[np.ndarray, " pairs"]]:
+def taut_corners(free: Grid, connectivity: int) -> tuple[Int[np.ndarray, " cells_plus_one"], _Cells]:
     """Return, as a CSR matrix, the obstacle corners where a shortest path from each cell of a grid may bend first.
 
     With the result ``(first, corners)``, the indices of the corners of cell ``i`` are

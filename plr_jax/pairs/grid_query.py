@@ -44,6 +44,8 @@ SLACK = 2.0**-20
 Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]  # rows and columns; functions of cells answer NumPy in NumPy
 Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
 Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
+_Points = Num[Array, "*batch 2"] | Num[np.ndarray, "*batch 2"]
+_Steps = Float[Array, "*batch"] | Float[np.ndarray, "*batch"]
 _Lengths = Int32[Array, "n"]
 _Bits = UInt32[Array, "n"]  # of each cell, one bit for each of 32 blocks of corners
 _BitsAndLength = tuple[_Bits, _Bits, _Lengths]
@@ -101,8 +103,7 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
     else:
         tables = []
         for grid in (free, free.T):  # illegal steps of the grid and of its mirror image, blocked cells in rows
-            in_rows = sums_along_rows(~grid & is_beside_free(grid))
-            tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), in_rows]
+            tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), sums_along_rows(~grid & is_beside_free(grid))]
     flat = np.concatenate([table.ravel() for table in tables])
     bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
     return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
@@ -217,18 +218,14 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
 
 
 @jax.jit
-def evaluate_pairs(
-    tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
-) -> Float[Array, "*batch"]:
+def evaluate_pairs(tables: GridTables, x: _Points, y: _Points) -> _Steps:
     """Return path lengths in steps between the cells of points, ``inf`` outside the grid or without a path."""
     (p, p_is_inside), (q, q_is_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     lengths = lengths_between_cells(tables, p, q)
     return _in_steps(tables.connectivity, lengths, p_is_inside & q_is_inside).reshape(x.shape[:-1])
 
 
-def evaluate_few(
-    tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
-) -> Float[np.ndarray, "*batch"] | None:
+def evaluate_few(tables: GridTables, x: _Points, y: _Points) -> _Steps | None:
     """Return path lengths in steps as :func:`evaluate_pairs` does, but computed in NumPy, without compilation.
 
     The result is None for so many pairs that compiled code is as fast.
@@ -257,9 +254,7 @@ def evaluate_few(
 
 
 @jax.jit
-def evaluate_to(
-    tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
-) -> Float[Array, "*batch"]:
+def evaluate_to(tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: _Points) -> _Steps:
     """Return path lengths in steps from the cells of points ``x`` to the cell ``goal`` (row, column).
 
     ``from_goal`` has the integer path lengths from the goal to all obstacle corners.
@@ -468,10 +463,8 @@ def _least_around(tables: GridTables, cells: Cells, onward: Callable[[_Corners],
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     """Return the index of the first block of corners of each cell, and the number of the cell's blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
-    first, end = (
-        looked_up(tables.group_block, index // GROUP) + looked_up(tables.cell_block, index).astype(np.int32)
-        for index in (cell, cell + 1)
-    )
+    of_group, of_cell = tables.group_block, tables.cell_block
+    first, end = (looked_up(of_group, i // GROUP) + looked_up(of_cell, i).astype(np.int32) for i in (cell, cell + 1))
     return first, end - first
 
 

@@ -56,13 +56,12 @@ def distances_around(
     rim = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
     if radius == 0:
         rim = np.zeros(1, int), np.zeros(1, int)
-    cells = jnp.stack([row[rim], column[rim]], axis=-1)
     # 3. Find lengths of the rim. Look up first the corners toward and away from the goal: lengths between them mostly
     #    follow. The two corners are 2r and 6r if row and column change in opposite directions towards the goal, else
     #    0 and 4r.
     corner = jnp.where((goal - position).prod(axis=1) < 0, 2 * radius, 0)  # of each agent; the other is 4r further
-    looked_up_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == corner
-    lengths = _lengths_of_rim(tables, cells, free[rim], goal, looked_up_first)
+    is_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == corner
+    lengths = _lengths_of_rim(tables, jnp.stack([row[rim], column[rim]], axis=-1), free[rim], goal, is_first)
     # 4. Spread lengths from the rim and the goal into the square.
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
     initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[rim].min(lengths)
@@ -71,15 +70,13 @@ def distances_around(
     return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
 
 
-def _lengths_of_rim(
-    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, looked_up_first: _RimFlags
-) -> _Rim:
+def _lengths_of_rim(tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, is_first: _RimFlags) -> _Rim:
     """Return the path length from each rim cell of each agent's square to the agent's goal; FAR without a path.
 
     ``cells`` are the rows and columns of the rim cells, and ``free`` says which are free. Lengths are in the units of
-    :func:`open_length`. Only some lengths are looked up in the tables, first those of the cells in
-    ``looked_up_first`` and of free cells beside a blocked rim cell. In two cases, the lengths between two cells of
-    known length follow without a look-up:
+    :func:`open_length`. Only some lengths are looked up in the tables, first those of cells where ``is_first`` and
+    of free cells beside a blocked rim cell. In two cases, the lengths between two cells of known length follow
+    without a look-up:
 
     - The known lengths differ by the number of steps between both cells, since lengths of neighbor cells differ by at
       most one step.
@@ -117,7 +114,7 @@ def _lengths_of_rim(
         is_wanted = free & ~is_known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
         return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), is_known | new, is_wanted
 
-    is_wanted = free & (looked_up_first | beside_blocked)
+    is_wanted = free & (is_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), is_wanted
     return lax.while_loop(lambda state: state[2].any(), look_up_round, none)[0]
 
@@ -149,8 +146,7 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: _Ri
         start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
         ends = start, jnp.where((batch < is_wanted.size)[:, None], flat[cell], start)
-        answers = lengths_between_cells(tables, *ends)
-        return lengths.at[batch].set(answers, mode="drop")
+        return lengths.at[batch].set(lengths_between_cells(tables, *ends), mode="drop")
 
     return lax.fori_loop(0, -(-end[-1] // size), with_batch, lengths.ravel()).reshape(lengths.shape)
 

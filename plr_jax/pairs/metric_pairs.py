@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from plr_jax._arrays import as_queries, is_traced, shortened
+from plr_jax._arrays import as_queries, is_traced, require_function
 from plr_jax._compiled import pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -58,8 +58,7 @@ class MetricPairs:
         # If JAX traces the file, the corners come from the tables, in two parts of 32 bits each.
         periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
         if not is_traced(self.plr.file):
-            domain = self.plr.domain
-            return domain.lo[: self.dim], domain.hi[: self.dim], periodic
+            return self.plr.domain.lo[: self.dim], self.plr.domain.hi[: self.dim], periodic
         frame = self.plr.tables.frame[:, : self.dim]
         return frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST], periodic
 
@@ -94,8 +93,7 @@ def construct_metric_pairs(
     domain = Box.of(domain)
     if domain.dim > 3:
         raise ValueError(f"The box of a metric may have at most 3 dimensions, got {domain.dim}.")
-    if not callable(distance_fn):
-        raise ValueError(f"distance_fn must be a function of x and y, got {shortened(distance_fn)}.")
+    require_function("distance_fn", distance_fn)
     box_of_pairs = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))
 
     def ordered_distances(pairs: Float[np.ndarray, "n both"]) -> Float[np.ndarray, " n"]:

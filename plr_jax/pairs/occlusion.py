@@ -147,8 +147,7 @@ def updated(
             rank = jnp.where(is_above, rank - below, rank)
             word = jnp.where(is_above, word >> np.uint32(half), word)
             row = jnp.where(is_above, row + half * len(words), row)
-        rows = jax.tree.map(lambda column: column.at[row].get(mode="clip"), (state, *columns))
-        new_rows = update(*rows)
+        new_rows = update(*jax.tree.map(lambda column: column.at[row].get(mode="clip"), (state, *columns)))
         return jax.tree.map(lambda old, new: old.at[row].set(new, mode="drop", unique_indices=True), state, new_rows)
 
     num_batches = (ends[-1] + np.uint32(size - 1)) // np.uint32(size)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import jax
 import jax.numpy as jnp
@@ -264,7 +264,11 @@ class PairPLR(FileBacked):
             return "PairPLR(of arrays that are traced, stacked or replaced)"
 
 
-def construct_pairs(workspace: "Workspace | Building", *, max_bytes: int | None = None) -> "PairPLR | BuildingPairs":
+@overload
+def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR: ...
+@overload
+def construct_pairs(workspace: "Building", *, max_bytes: int | None = None) -> "BuildingPairs": ...
+def construct_pairs(workspace: Any, *, max_bytes: int | None = None) -> Any:
     """Build a PairPLR: distances between any two points of a planar workspace, or BuildingPairs for a building.
 
     The common call names a budget in bytes:

@@ -186,10 +186,8 @@ class NumpyPairs:
         self._upper_obstacles = MovedObstacles.of(stored, is_certain=True)
         self._lower_obstacles = MovedObstacles.of(stored, is_certain=False, for_lower_bounds=True)
         point_error = float(point_rounding(domain.width / 2, np.abs(middle)).max())
-        self._lower_error, self._upper_error = (
-            np.float32(stored.rounding + 2 * obstacles.moved + point_error)
-            for obstacles in (self._obstacles, self._upper_obstacles)
-        )
+        self._lower_error = np.float32(stored.rounding + 2 * self._obstacles.moved + point_error)
+        self._upper_error = np.float32(stored.rounding + 2 * self._upper_obstacles.moved + point_error)
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
         """Return distances between points ``(..., 2)`` whose shapes broadcast, ``(...)`` in float32.

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -250,7 +251,7 @@ class Outline:
 
     def write(self, body: BitWriter) -> None:
         """Append the encoded outline to ``body``, except origin and thin walls, which the file has elsewhere."""
-        body.write(np.frombuffer(np.float64(self.step).tobytes(), "<u4").astype(np.int64), 32)
+        body.write_doubles(np.array([self.step]))
         body.write(np.array([self.may_squeeze], np.int64), 1)
         sizes = np.diff(self.first)
         body.write(np.array([len(sizes)]), _COUNT_BITS).write_coded(sizes)
@@ -269,7 +270,7 @@ def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
 
     ``origin`` is the position of the lattice point (0, 0).
     """
-    step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
+    step = body.read_doubles(1)[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its lattice step must be positive and finite, got {step}")
     may_squeeze = bool(body.read_fixed_width(1, 1)[0])
@@ -334,7 +335,8 @@ class PairsFileData:
     listed: Int[np.ndarray, " entries"]
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
-    # Points of free space at which paths may turn in any direction: corners with the indices after those of `corner`.
+    # Points of free space at which paths may turn in any direction, such as ends of stairs. They count as corners,
+    # with indices after those of `corner`.
     places: Float[np.ndarray, "places 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     arcs: Arcs = NO_ARCS  # between places, given as indices of corners
 
@@ -360,17 +362,16 @@ class PairsFileData:
         is_corner = np.zeros(len(self.outline.points), bool)
         is_corner[self.corner] = True
         first.write_set(is_corner)
-        is_joined = np.zeros(count * (count - 1) // 2, bool)
+        is_joined = np.zeros(comb(count, 2), bool)
         i, j = self.edges.T
         is_joined[j * (j - 1) // 2 + i] = True
-        num_pairs = len(self.corner) * (len(self.corner) - 1) // 2  # the first pairs, without places
+        num_pairs = comb(len(self.corner), 2)  # the first pairs, without places
         first.write_set(is_joined[:num_pairs])
         if len(self.outline.thin) or len(self.places):
             first.write_set(self.outline.is_thin)
         if len(self.places):
             first.write(np.array([len(self.places), len(self.arcs.start)]), _COUNT_BITS)
-            numbers = np.concatenate([self.places.ravel(), self.arcs.length]).astype("<f8")
-            first.write(np.frombuffer(numbers.tobytes(), "<u4").astype(np.int64), 32)
+            first.write_doubles(np.append(self.places, self.arcs.length))
             first.write(np.concatenate(self.arcs[:2]) - len(self.corner), _COUNT_BITS)
             first.write_set(is_joined[num_pairs:])
         # 2. Write the tree and the lists. A node lists the union of its halves' lists. Level by level, the file
@@ -421,21 +422,20 @@ class PairsFileData:
                 raise ValueError("it holds more data than its outline needs")
             (body,) = others
             rounding = _read_rounding(body)
-        number, num_pairs = body.read_members(count * (count - 1) // 2), count * (count - 1) // 2
+        number = body.read_members(num_pairs := comb(count, 2))
         thin, places, arcs = np.zeros(0, np.int64), np.zeros((0, 2)), NO_ARCS
         if not body.at_end():
             thin = np.flatnonzero(body.read_set(len(outline.points)))
         if not body.at_end():
             places, arcs = _read_places(body, count)
             count += len(places)
-            number = np.append(number, num_pairs + body.read_members(count * (count - 1) // 2 - num_pairs))
+            number = np.append(number, num_pairs + body.read_members(comb(count, 2) - num_pairs))
         j = ((1 + np.sqrt(1 + 8 * number.astype(np.float64))) // 2).astype(np.int64)
         j -= j * (j - 1) // 2 > number
         j += j * (j + 1) // 2 <= number
         edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
-        outline = replace(outline, thin=thin)
         # 3. Read the tree and the leaves' lists.
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
@@ -444,10 +444,8 @@ class PairsFileData:
         leaf, listed = _read_lists(lists, tree, count, most)
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        lists_of_leaves = tree, leaf, listed
-        return PairsFileData(
-            domain, outline, corner, edges, *lists_of_leaves, rounding, container.label, places, arcs
-        )
+        columns = tree, leaf, listed, rounding, container.label, places, arcs
+        return PairsFileData(domain, replace(outline, thin=thin), corner, edges, *columns)
 
 
 def most_leaves(num_corners: int) -> int:
@@ -459,17 +457,12 @@ def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "
     num_places, num_arcs = body.read_fixed_width(2, _COUNT_BITS).tolist()
     if num_corners + num_places > MOST_CORNERS:
         raise ValueError(f"it may have at most {MOST_CORNERS} corners and places, got {num_corners + num_places}")
-    words = body.read_fixed_width(4 * num_places + 2 * num_arcs, 32)
-    numbers = np.frombuffer(words.astype("<u4").tobytes(), "<f8").astype(np.float64)
-    start, end = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
-    places, lengths = numbers[: 2 * num_places].reshape(-1, 2), numbers[2 * num_places :]
-    if (
-        not np.isfinite(numbers).all()
-        or (lengths < 0).any()
-        or max(start.max(initial=0), end.max(initial=0)) >= num_places
-    ):
+    places, lengths = body.read_doubles(2 * num_places).reshape(-1, 2), body.read_doubles(num_arcs)
+    ends = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
+    is_valid = np.isfinite(places).all() and np.isfinite(lengths).all() and (lengths >= 0).all()
+    if not is_valid or ends.max(initial=0) >= num_places:
         raise ValueError("its places or arcs are invalid")
-    return places, Arcs(num_corners + start, num_corners + end, lengths)
+    return places, Arcs(*(num_corners + ends), lengths)
 
 
 def _read_rounding(body: BitReader) -> float:

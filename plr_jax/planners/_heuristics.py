@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_values, filled_with_inf, is_traced, padded, padded_size, shortened
+from plr_jax._arrays import as_numbers, as_values, batches, filled_with_inf, is_traced, padded, padded_size, shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
@@ -47,8 +47,7 @@ def straight_line(problem: Problem) -> SumOverRobots:
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         with np.errstate(invalid="ignore"):
             cost = motion_costs(problem, _joint_configurations(q, num_robots, dof), problem.goals)
-        cost[np.isnan(cost)] = np.inf
-        return cost
+        return np.where(np.isnan(cost), np.inf, cost)
 
     return SumOverRobots(per_robot, is_lower_bound=True)
 
@@ -140,16 +139,14 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
     function compiles once for each size.
     """
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
-    for begin in range(0, len(q), _BATCH_SIZES[-1]):
-        part = q[begin : begin + _BATCH_SIZES[-1]]
+    for part, result in zip(batches(q, _BATCH_SIZES[-1]), batches(distances, _BATCH_SIZES[-1]), strict=True):
         batch = padded(part, padded_size(len(part), _BATCH_SIZES), part[-1])
         for i, fn in enumerate(distance_fns):
             name, dim = f"The distance function of robot {i}", fn.dim if isinstance(fn, DimensionedFn) else None
             if dim is not None and dim > dof:
                 raise ValueError(f"{name} takes {dim} coordinates, but configurations have {dof}.")
             try:
-                values = as_values(name, fn(batch[:, i, :dim]), len(batch))
-                distances[begin : begin + len(part), i] = values[: len(part)]
+                result[:, i] = as_values(name, fn(batch[:, i, :dim]), len(batch))[: len(part)]
             except Exception as error:
                 if dim is None and dof == 3:
                     hint = "If it is a function of (x, y), set its attribute `dim`: `fn.dim = 2`."

@@ -2,10 +2,9 @@
 
 import enum
 import json
-import math
 import os
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,7 +12,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_numbers, require_integer, shortened
 from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
-from plr_jax._problem import Problem, motion_costs, path_cost, row_times
+from plr_jax._problem import JointPath, Problem, motion_costs, path_cost, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.robots import between, rows_around
 
@@ -67,10 +66,10 @@ class Stats:
     @property
     def first_solution(self) -> float:
         """Seconds to the first path; ``inf`` if there is none."""
-        return self.history[0][0] if self.history else math.inf
+        return self.history[0][0] if self.history else np.inf
 
 
-JointPath: TypeAlias = Float[np.ndarray, "steps robots dof"]
+Samples: TypeAlias = Float[np.ndarray, "nodes robots dof"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +98,8 @@ class Solution:
     lower_bound: float
     status: Status
     stats: Stats
-    samples: Float[np.ndarray, "nodes robots dof"]
-    motions_factor: float = math.inf
+    samples: Samples
+    motions_factor: float = np.inf
     times: Float[np.ndarray, " steps"] | None = None
 
     @property
@@ -108,7 +107,7 @@ class Solution:
         """Proven upper bound of the ratio of the path's cost to the least possible cost; ``inf`` if there is none."""
         if self.cost == 0:
             return 1.0
-        return self.cost / self.lower_bound if self.lower_bound > 0 else math.inf
+        return self.cost / self.lower_bound if self.lower_bound > 0 else np.inf
 
     @property
     def solved(self) -> bool:
@@ -142,23 +141,17 @@ class Solution:
         ``ValueError`` if the solution is inconsistent or the file would be larger than 64 MiB, ``OSError`` if writing
         fails.
         """
-        stats = self.stats
         entry = {
             "format": format_name(_KIND),
             "version": _VERSION,
             "status": self.status.name,
-            **{name: None if (number := getattr(self, name)) == math.inf else float(number) for name in _NUMBERS},
-            "stats": {
-                **{name: int(getattr(stats, name)) for name in _COUNTS},
-                "seconds": {phase: float(seconds) for phase, seconds in stats.seconds.items()},
-                "history": [[float(seconds), float(cost)] for seconds, cost in stats.history],
-                "found_by": stats.found_by,
-            },
-            "times": None if self.times is None else self.times.tolist(),
-            "path": None if self.path is None else self.path.tolist(),
+            **{name: None if (number := getattr(self, name)) == np.inf else float(number) for name in _NUMBERS},
+            "stats": {**asdict(self.stats), **{name: int(getattr(self.stats, name)) for name in _COUNTS}},
+            "times": self.times,
+            "path": self.path,
         }
         _solution_from_json(entry)  # raises if the file could not be read back
-        data = (json.dumps(entry, allow_nan=False) + "\n").encode()
+        data = (json.dumps(entry, allow_nan=False, default=lambda numbers: numbers.tolist()) + "\n").encode()
         if len(data) > _MOST_BYTES:
             raise ValueError(f"A solution's file has at most {_MOST_BYTES:,} bytes, this one has {len(data):,}.")
         write_atomically(file_path(path), data)
@@ -193,18 +186,12 @@ class Solution:
 
 
 def make_solution(
-    problem: Problem,
-    path: JointPath | None,
-    lower_bound: float,
-    status: Status,
-    stats: Stats,
-    samples: Float[np.ndarray, "nodes robots dof"],
-    motions_factor: float = math.inf,
+    problem: Problem, path: JointPath | None, lower_bound: float, status: Status, stats: Stats, samples: Samples
 ) -> Solution:
     if path is None:
-        return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
+        return Solution(None, np.inf, np.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
-    return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, motions_factor, times)
+    return Solution(path, cost, float(times[-1]), lower_bound, status, stats, samples, times=times)
 
 
 def straight_line_bound(problem: Problem) -> float:
@@ -217,7 +204,7 @@ def _solution_from_json(entry: Any) -> Solution:
     status = entry["status"]
     if not isinstance(status, str) or status not in Status.__members__:
         raise ValueError(f'expected "status" to be one of {", ".join(Status.__members__)}, got {shortened(status)}.')
-    numbers = (math.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
+    numbers = (np.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
     cost, makespan, lower_bound, factor = numbers
     path = times = None
     parts = {name: entry[name] for name in ("cost", "makespan", "path", "times")}
@@ -249,7 +236,8 @@ def _stats_from_json(entry: Any) -> Stats:
     for name in _COUNTS:
         require_integer(f'"{name}"', entry[name], 0)
     seconds, history, found_by = entry["seconds"], entry["history"], entry["found_by"]
-    are_pairs = isinstance(history, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in history)
+    lists = list, tuple  # `Solution.save` checks tuples before it writes them as lists
+    are_pairs = isinstance(history, lists) and all(isinstance(pair, lists) and len(pair) == 2 for pair in history)
     if not isinstance(seconds, dict) or not isinstance(found_by, str) or not are_pairs:
         expected = '"seconds" to be an object, "found_by" a string, and "history" a list of pairs [seconds, cost]'
         raise ValueError(f"expected {expected}, got {shortened(entry)}.")

@@ -5,7 +5,6 @@ node's *successors* are the best of its children, found by beam search. Successo
 """
 
 import heapq
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from tqdm import tqdm
 
-from plr_jax._arrays import ragged_indices, require_time
+from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
@@ -94,7 +93,7 @@ def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"
     return Beam(step_score, primitive[rows, order], num_scored, num_valid, is_complete)
 
 
-def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
+def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.inf) -> list[Table]:
     """Return, for each robot, the robot's term of the heuristic at all nodes of its lattice.
 
     ``TimeoutError`` after the ``deadline``, a time of ``time.perf_counter``.
@@ -199,11 +198,7 @@ class BestFirstSearch:
     def solution_states(self) -> State:
         """The joint states of the path that was found, from the starts on."""
         assert self.goal_node is not None
-        node, states = self.goal_node, [self.states[self.goal_node]]
-        while self.parents[node] >= 0:
-            node = self.parents[node]
-            states.append(self.states[node])
-        return np.array(states[::-1])
+        return np.array([self.states[node] for node in path_from_root(self.parents, self.goal_node)])
 
     @property
     def node_states(self) -> State:
@@ -218,8 +213,7 @@ class BestFirstSearch:
         most = max(kind.cost.shape[1] for kind in self.joint.kinds)
         for width, of_width in by_width.items():
             size = max(1, _PRODUCTS // (width * most))
-            for begin in range(0, len(of_width), size):
-                part = of_width[begin : begin + size]
+            for part in batches(of_width, size):
                 # 2. Reserve the memory of the widest beams so far, as later ones may be as wide.
                 num_bytes = (len(part) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.memory_use.add(max(0, num_bytes - self.max_product_bytes))

@@ -4,12 +4,13 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._problem import Problem, makespan, motion_costs, path_cost
+from plr_jax._problem import JointPath, Problem, makespan, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
@@ -19,7 +20,7 @@ from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, 
 from plr_jax.planners.searches import SEARCHES, BLOptions, Searches, num_bytes, require_problem_and_options
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
-from plr_jax.planners.through_time import JointPath, subdivided
+from plr_jax.planners.through_time import subdivided
 from plr_jax.robots import between
 
 # Steps (cell sizes of lattices), as shares of the bounds' longer side:
@@ -115,7 +116,8 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
     budget, memory = run.budget, int(min(run.num_bytes, _MAX_REPORTED_BYTES))
     counts = budget.num_nodes, budget.num_expansions, budget.num_children_scored, budget.num_children_valid
     stats = Stats(*counts, run.seconds, tuple(run.history), run.found_by, memory)
-    return make_solution(problem, run.path, run.lower_bound, status, stats, run.samples, run.motions_factor)
+    solution = make_solution(problem, run.path, run.lower_bound, status, stats, run.samples)
+    return replace(solution, motions_factor=run.motions_factor)
 
 
 class Run:
@@ -267,7 +269,7 @@ class Run:
                 num_lattices += 1
                 if not running and self.options.step is None:
                     # The lattice for packed robots has no spare cell, for example if a full ring must rotate.
-                    step = min(step, first_step(self.problem, self._fits, may_be_packed=False))
+                    step = min(step, first_step(self.problem, self._fits, may_pack=False))
         finally:
             for searches in running:
                 searches.release()
@@ -323,8 +325,7 @@ class Run:
         with twice as many rows. End as soon as the cost is accepted. ``found_by`` and ``factor`` are recorded with
         the path.
         """
-        in_corridors = partial(shorten_in_corridors, width=width)
-        for phase, method in enumerate((shorten, in_corridors, shorten)):
+        for phase, method in enumerate((shorten, partial(shorten_in_corridors, width=width), shorten)):
             if self.cost <= self.accepted_cost < math.inf:
                 return
             if phase == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
@@ -384,25 +385,22 @@ class Run:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    of_dof = {2: 1, 3: _TURNING}
+    times = {2: 1, 3: _TURNING}  # by degrees of freedom
     kinds = robot_kinds(problem)
-    tests = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in kinds)
+    tests = (times[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in kinds)
     return (1 + len(PRIMITIVES)) * sum(tests)
 
 
-def first_step(
-    problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
-) -> float:
+def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_pack: bool = True) -> float:
     """Choose the cell size of the first lattices: about the size of the smallest robot, or larger.
 
-    Cells are larger for a crowd. With ``may_be_packed``, robots that fill most of the free area get cells as wide as
+    Cells are larger for a crowd. With ``may_pack``, robots that fill most of the free area get cells as wide as
     the widest robot. Cells are enlarged until few enough motions must be tested and ``fits(step)`` is true, which
     says whether lattices of cell size ``step`` fit into the memory limit.
     """
     # 1. Cells about as large as the smallest robot give it room to pass. Points have size 0.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
-    sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
-    size = min(size or _POINT_STEP * extent for size in sizes)
+    size = min(min(robot.circumscribed_radius, robot.breadth) or _POINT_STEP * extent for robot in problem.robots)
     # 2. A crowd needs larger cells, as gaps narrower than a step stay closed.
     widths = np.array([robot.breadth for robot in problem.robots])
     wide = size * float(np.clip((widths.sum() / math.sqrt(area) / _CROWD_WIDTH) ** 2, 1.0, _MAX_CROWD_GROWTH))
@@ -411,7 +409,7 @@ def first_step(
         size = wide
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     # 3. Robots that fill most of the free area may move between cells of one robot each, as in a sliding puzzle.
-    if may_be_packed and len(widths) * widths.min() ** 2 > _PACKED * area:
+    if may_pack and len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
     # 4. Enlarge the cells while the lattices do not fit or their motions take long to test.
     while step < _COARSEST * extent and (_num_motions_to_test(problem, step) > _MAX_FIRST_TESTS or not fits(step)):

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import batches
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, Table
@@ -95,7 +96,7 @@ class TeamMoves:
                 cells = np.rint(away / kind.side)
                 on_grid = (np.abs(away - cells * kind.side) < _ALIGNED * self.tolerance).all(axis=1)
                 on_grid &= aligned[self.row[i]] & aligned[self.row[j]]
-                self._add_between_cells(a, i[on_grid], j[on_grid], cells[on_grid].astype(int), neighbors)
+                self._look_up(a, i[on_grid], j[on_grid], cells[on_grid].astype(int), neighbors)
                 i, j = i[~on_grid], j[~on_grid]
             # 3. Test all motions of all other pairs (axes: pairs, primitives of i, primitives of j).
             motions_a = places[a][self.row[i]][:, None, None], ends[a][self.row[i]][:, :, None]
@@ -109,9 +110,7 @@ class TeamMoves:
                 neighbors[other].append((robot, theirs))
         return Moves(child, ranked, neighbors)
 
-    def _add_between_cells(
-        self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
-    ) -> None:
+    def _look_up(self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors) -> None:
         # The key of `known_bits` is the number of cells, along each axis, from a first robot to a second one. The
         # value has, for each primitive of the first robot, the primitives of the second robot that collide with it.
         # The opposite key has, for each primitive of the second robot, the colliding primitives of the first robot.
@@ -150,9 +149,7 @@ class TeamMoves:
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))
             size = max(1, _MOST // (self.kinds[a].cost.shape[1] * self.kinds[b].cost.shape[1]))
-            members = np.flatnonzero(pairs == pair)
-            for begin in range(0, len(members), size):
-                chunk = members[begin : begin + size]
+            for chunk in batches(np.flatnonzero(pairs == pair), size):
                 yield a, b, first[chunk], second[chunk]
 
 

@@ -28,13 +28,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.sparse import csgraph as sparse_graphs
-from scipy.sparse import csr_array
+from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import ragged_indices, require_time
+from plr_jax._arrays import batches, ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.motions import JointMotionTest
-from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
+from plr_jax.collision.walls import Configurations, IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot
 
@@ -51,7 +50,6 @@ _MOST_KEPT = 1 << 18  # most motions of a cached grid: their end cells and costs
 _GOALS = 8  # most goals
 _NODES = 1 << 19  # most nodes times goals
 _SECONDS = 3e-7  # estimated time, in seconds per node
-Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Primitives: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n primitives"]]  # end node and cost
 Table: TypeAlias = Float[np.ndarray, " _"]  # a cost at each node of a robot's lattice
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: a node of each robot's lattice
@@ -247,9 +245,8 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
     # 3. Choose the representatives, then test the motions between them; a chunk has all headings of its positions.
     num_headings = math.prod(grid.shape[2:])
     size = max(1, _CHUNK // num_headings) * num_headings
-    chunks = np.split(np.arange(len(q)), range(size, len(q), size))
     for choose_or_connect in (grid.choose_representatives, grid.connect):
-        for cells in chunks:
+        for cells in batches(np.arange(len(q)), size):
             require_time(deadline, "the lattice was built")
             choose_or_connect(cells, deadline)
     return grid
@@ -401,7 +398,7 @@ class Kind:
         edge = np.append(shared, terminal_edges[into_goal])
         end = np.append(self.end[shared], num_nodes + search[into_goal])
         graph = csr_array((self.edge_cost[edge], (end, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
-        costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
+        costs = csgraph.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
         return costs
 
@@ -412,7 +409,7 @@ class Kind:
         """
         edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
-        return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
+        return csgraph.dijkstra(graph, indices=self.terminals.node[row, 0])
 
 
 class Lattice:
@@ -460,7 +457,7 @@ class JointLattice:
         costs = {}
         for kind in self.kinds:
             size = int(np.clip(_NODES // len(kind.q), 1, _GOALS))  # goals of one call of Dijkstra's algorithm
-            for rows in np.split(np.arange(len(kind.members)), range(size, len(kind.members), size)):
+            for rows in batches(np.arange(len(kind.members)), size):
                 require_time(self.test.deadline, "the costs-to-go were known", _SECONDS * len(kind.q))
                 costs.update(zip(kind.members[rows].tolist(), kind.costs_to_go(rows), strict=True))
         return [costs[i] for i in range(len(self.lattices))]

@@ -1,6 +1,5 @@
 """Replanning of moving teams: after goals or walls change (``replan``), or as new goals arrive (``lifelong``)."""
 
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -11,16 +10,17 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
-from plr_jax._problem import Problem, motion_costs, row_times, settled_pose, straight_costs
+from plr_jax._problem import JointPath, Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
 from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.searches import BLOptions, require_problem_and_options
-from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
+from plr_jax.planners.through_time import ROWS_PER_STEP, Motion, Timetable, plan_through_time, subdivided
 
-Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-_DEFAULTS = BLOptions()
+NextGoalFn: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
+PlanFn: TypeAlias = Callable[[Problem], Solution]
+_DEFAULT = BLOptions()
 _ROUNDING = 1e-9
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
 # For `replan`:
@@ -34,11 +34,7 @@ _MOST_IDLE = 5  # how often the next arrival is put off, or none is planned, bef
 
 
 def replan(
-    problem: Problem,
-    solution: Solution,
-    at: float | int,
-    options: BLOptions = _DEFAULTS,
-    standing: Sequence[int] = (),
+    problem: Problem, solution: Solution, at: float | int, options: BLOptions = _DEFAULT, standing: Sequence[int] = ()
 ) -> Solution:
     """Replan a moving team after a change; robots keep motions that still lead to their goals, if possible.
 
@@ -93,7 +89,7 @@ def replan(
         raise ValueError(f"solution must be for {expected}, got a path for {solution.path.shape[1:]}.")
     if not np.isfinite(solution.path).all():
         raise ValueError("solution must have a finite path, got one with NaN or infinity.")
-    as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < math.inf)
+    as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < np.inf)
     apart = motion_costs(problem, solution.path_at(at), problem.starts)
     if (apart > problem.workspace.tolerance).any():
         i = int(apart.argmax())
@@ -198,11 +194,7 @@ class LifelongRun:
 
 
 def lifelong(
-    problem: Problem,
-    next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
-    num_goals: int,
-    options: BLOptions = _DEFAULTS,
-    plan: Callable[[Problem], Solution] | None = None,
+    problem: Problem, next_goal: NextGoalFn, num_goals: int, options: BLOptions = _DEFAULT, plan: PlanFn | None = None
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the other robots go on.
 
@@ -250,7 +242,7 @@ def lifelong(
 class _LifelongTeam:
     """State of a lifelong run: the team's planned motions, its goals, and a record of the motions made so far."""
 
-    def __init__(self, problem: Problem, options: BLOptions, plan: Callable[[Problem], Solution] | None):
+    def __init__(self, problem: Problem, options: BLOptions, plan: PlanFn | None):
         # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
         self.problem, self.options, self.plan = problem, options, plan
         self.path = problem.starts[None]  # from now on
@@ -266,12 +258,12 @@ class _LifelongTeam:
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
         self._num_from_nothing = 0
         self._num_idle = 0  # how often the next planned arrival was put off, or none was planned
-        self._due = math.inf  # row of the next planned arrival
+        self._due = np.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
         """Plan the whole team without regard to its present plan; return SOLVED, or why there is no path."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
-        solution = plan(self._current_problem(self.problem.goals))
+        solution = plan(replace(self.problem, starts=self.path[0]))
         self._num_from_nothing += 1
         self._num_idle = 0
         if solution.path is None or solution.status is Status.INTERRUPTED:
@@ -294,8 +286,7 @@ class _LifelongTeam:
         self._num_rows += row
         self.path = self.path[row:]
         # 3. Serve the robots that are at their goals now, unless the next one arrives later.
-        is_early = len(arrivals) and row < arrival
-        arrived = [] if is_early else np.flatnonzero(is_there[row]).tolist()
+        arrived = [] if len(arrivals) and row < arrival else np.flatnonzero(is_there[row]).tolist()
         self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 
@@ -307,7 +298,7 @@ class _LifelongTeam:
         # Without the heading if the robot has none.
         self.requested_goals[i, : robot.dof] = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]
         self._since[i] = self._num_rows
-        self._due, self._num_idle = math.inf, 0
+        self._due, self._num_idle = np.inf, 0
 
     def replan(self) -> Status:
         """Replan the team's motions from its present configurations to its goals; return SOLVED, or why this failed.
@@ -316,7 +307,7 @@ class _LifelongTeam:
         """
         began = time.process_time()
         if ((goals := self._possible_goals()) != self.problem.goals).any():
-            self.problem = self._current_problem(goals)
+            self.problem = replace(self.problem, starts=self.path[0], goals=goals)
         try:
             status = self.plan_from_nothing() if self.plan else self._replan_waiting()
         except TimeoutError:
@@ -326,18 +317,14 @@ class _LifelongTeam:
 
     def result(self, status: Status) -> LifelongRun:
         """Return the run so far: a path from the first starts to the present configurations, and the goals served."""
-        path, problem = np.concatenate(self._done), self.problem
-        problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
+        path = np.concatenate(self._done)
+        problem = replace(self.problem, starts=path[0], goals=path[-1])
         robots, rows = (np.array([entry[k] for entry in self.served], dtype=np.intp) for k in (0, 1))
         goals = np.array([goal for *_, goal in self.served]).reshape(-1, problem.dof)
         times, seconds = row_times(problem, path), np.array(self._seconds)
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
-    def _current_problem(self, goals: Goals) -> Problem:
-        problem = self.problem
-        return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
-
-    def _possible_goals(self) -> Goals:
+    def _possible_goals(self) -> Float[np.ndarray, "robots dof"]:
         """Return each robot's requested goal, or its previous goal if bodies at requested goals would overlap."""
         # Going back to a previous goal may cause another overlap, so all new goals are then tested again. This ends,
         # since previous goals never overlap, and a goal that went back stays.
@@ -366,8 +353,8 @@ class _LifelongTeam:
         # 1. Count how often the next arrival was put off, or none is planned. Robots that wait, or stand at their
         #    goals, do not arrive.
         waits = (self.path[-1] != self.requested_goals).any(axis=1)
-        due = self._num_rows + np.where(waits | (timetable.ends == 0), math.inf, timetable.ends).min()
-        self._num_idle += due > self._due or due == math.inf
+        due = self._num_rows + np.where(waits | (timetable.ends == 0), np.inf, timetable.ends).min()
+        self._num_idle += due > self._due or due == np.inf
         self._due = due
         # 2. Replan the robots whose motions soon end before their goals, in the order in which they got their goals.
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))

@@ -17,7 +17,6 @@ that looks for a path of the whole team along its lattices, and can pause and co
 - ``node_states``: the joint states of all nodes, in the order of creation.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -78,8 +77,8 @@ class BLOptions:
 
     def __post_init__(self) -> None:
         if self.step is not None:
-            as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
-        as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < math.inf)
+            as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < np.inf)
+        as_number("lower_bound", self.lower_bound, "a finite number of at least 0", lambda x: 0 <= x < np.inf)
         as_number("cost_factor", self.cost_factor, "a number of at least 1, or inf", lambda factor: factor >= 1)
         for name in ("time_limit", "max_expansions", "max_memory"):
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.csgraph import shortest_path
 
-from plr_jax._problem import Problem
+from plr_jax._arrays import path_from_root
+from plr_jax._problem import JointPath, Problem
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
 from plr_jax.geometry.workspace import Workspace
@@ -28,7 +29,6 @@ _COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are fa
 _DEPARTURES = 32  # most departure times that are tried for a robot, besides the last one
 Points = Float[np.ndarray, "n 2"]
 Route = list[complex]  # positions of the disc's center
-Path = Float[np.ndarray, "steps robots dof"]
 
 
 class CornerRoadmap:
@@ -64,10 +64,7 @@ class CornerRoadmap:
         return Routes(self, first, last, float(cost[0]), out, home, to_go)
 
     def between(self, u: int, v: int) -> Route:
-        route = [v]
-        while route[-1] != u:
-            route.append(int(self._previous[u, route[-1]]))
-        return [self.places[corner] for corner in reversed(route)]
+        return [self.places[corner] for corner in path_from_root(self._previous[u], v)]
 
 
 _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
@@ -120,7 +117,7 @@ class Routes(NamedTuple):
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
 
-def sequential_path(problem: Problem) -> Path | None:
+def sequential_path(problem: Problem) -> JointPath | None:
     """Return a path on which the robots move one after the other; None if no such path was found.
 
     The result is also None if a robot is no disc of radius above ``workspace.tolerance``, or for more than 8 robots
@@ -204,7 +201,7 @@ def _touch_distances(problem: Problem) -> list[list[float]]:
     return [[a + b - slack for b in radii] for a in radii]
 
 
-def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "rows robots dof"]:
+def with_early_departures(problem: Problem, path: JointPath) -> Float[np.ndarray, "rows robots dof"]:
     """Return a path on which robots depart before others have arrived, where they do not collide.
 
     ``path`` moves one robot at a time. Each robot's route and cost stay equal.

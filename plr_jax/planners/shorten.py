@@ -12,15 +12,13 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import ragged_indices, require_time, take_ragged
-from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax._arrays import path_from_root, ragged_indices, require_time, take_ragged
+from plr_jax._problem import JointPath, Problem, path_cost, straight_costs
 from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, within_reach
 from plr_jax.robots import between
 
-Path = Float[np.ndarray, "steps robots dof"]
 Rows = Int[np.ndarray, "m"]
 Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
@@ -41,7 +39,7 @@ _MARGIN = 3  # rows added before and after the rows in which two robots touch
 _PLUS_PATTERN = np.array([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)], dtype=np.float64)  # shifts, in widths
 
 
-def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
+def shorten(problem: Problem, path: JointPath, test: JointMotionTest) -> JointPath:
     """Replace motions by straight shortcuts until a round saves little, or the deadline of ``test`` passes.
 
     A round tries each robot in turn.
@@ -117,14 +115,11 @@ def _with_shortcuts(
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
     is_edge[shortcuts[is_apart]] = True
     graph = csr_array((cost[is_edge], (begin[is_edge], end[is_edge])), shape=(len(q), len(q)))
-    previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
-    rows = [len(q) - 1]
-    while rows[-1] > 0:
-        rows.append(int(previous[rows[-1]]))
-    return rows[::-1], in_way
+    previous = csgraph.dijkstra(graph, indices=0, return_predecessors=True)[1]
+    return path_from_root(previous, len(q) - 1), in_way
 
 
-def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
+def shorten_in_corridors(problem: Problem, path: JointPath, test: JointMotionTest, width: float) -> JointPath:
     """Lower a path's cost by small shifts of configurations, of one robot or of two nearby robots at a time.
 
     Shifts have the length ``width``, in workspace units, which is halved when a round saves little. The function ends
@@ -151,7 +146,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     return trajectory.path
 
 
-def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[Group]:
+def _corridor_groups(problem: Problem, path: JointPath, width: float) -> Iterator[Group]:
     """Yield each robot with all rows of the path, and each pair of nearby robots with the rows where they are near.
 
     Robots are near if the gap between their circumscribed discs is less than a few times ``width``. After each group,
@@ -236,8 +231,7 @@ def _joint_costs(
     cost = cost.reshape(-1, size, size)
     present_cost = cost[:, 0, 0].copy()
     may_gain = _least_cost_through(cost) < (1 - _ROUNDING) * present_cost.sum()
-    near = np.zeros(len(cost), dtype=bool)
-    near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
+    near = within_reach(test.robots[i], around[0], test.robots[j], around[1])
     tested = np.nonzero((may_gain & near[:, None, None]).reshape(shape))
     row, a_first, b_first, a_last, b_last = tested
     apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])

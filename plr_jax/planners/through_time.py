@@ -6,15 +6,13 @@ needs at that speed. In the other searches, all robots make one lattice motion i
 """
 
 import heapq
-import math
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import ragged_indices, require_time
-from plr_jax._problem import Problem, row_times, straight_costs
+from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
+from plr_jax._problem import JointPath, Problem, row_times, straight_costs
 from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots import between
@@ -29,7 +27,6 @@ Rows = Int[np.ndarray, "m"]
 Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
-JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
@@ -38,9 +35,7 @@ class Timetable:
     ``path`` has the configurations, ``ends`` the row in which each robot comes to rest.
     """
 
-    def __init__(
-        self, problem: Problem, path: JointPath, patience: float | int = math.inf, deadline: float = math.inf
-    ):
+    def __init__(self, problem: Problem, path: JointPath, patience: float | int = np.inf, deadline: float = np.inf):
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         # For each robot, the row in which it comes to rest, the one after the last row that differs from its end.
@@ -100,7 +95,7 @@ class Timetable:
         there is no such row.
         """
         # Robots at rest block `q` for `patience` rows after the last row.
-        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
+        row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < np.inf else 0))
         stay = np.repeat(q[None], len(row), axis=0)
         is_taken = np.zeros(len(row), dtype=bool)
         is_taken[self._meetings(i, stay, stay, row)[0]] = True
@@ -157,7 +152,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     is_free = np.isfinite(duration)
     first = np.append(0, np.cumsum(is_free.sum(axis=1)))  # of each node's motions
     graph = csr_array((duration[is_free], child[is_free], first), shape=(len(child), len(child)))
-    to_go = dijkstra(graph.T, indices=lattice.goal)
+    to_go = csgraph.dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
     free_from = timetable.next_free_rows(i, q[lattice.goal])  # by row: the next row from which the goal is free
 
@@ -170,7 +165,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     nodes, rows, parents = [lattice.start], [0], [-1]
     open_states = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     visited = {(lattice.start, 0)}  # nodes, and rows divided by _WAIT
-    best, arrived = math.inf, -1  # row of the earliest arrival so far, and its state
+    best, arrived = np.inf, -1  # row of the earliest arrival so far, and its state
     num_expanded = 0
     if lattice.start == lattice.goal and free_from[0] == 0:
         best, arrived = 0, 0
@@ -204,19 +199,15 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     if last < 0:
         is_narrow = problem.workspace.clearance(q[node, :2]) < _ROOM * robot.circumscribed_radius
         order = np.lexsort((to_go[node], is_narrow))  # by `is_narrow`, then by `to_go`
-        for offset in range(0, len(order), _BATCH):
-            state = order[offset : offset + _BATCH]
+        for state in batches(order, _BATCH):
             count = np.full(len(state), int(min(timetable.patience, len(timetable.path))))
             if (may_rest := timetable.are_free(i, q[node[state]], q[node[state]], row[state], count)).any():
                 last = int(state[may_rest.argmax()])
                 break
         else:
             return None, False
-    # 4. Follow the parents back to the start.
-    chain = [last]
-    while parents[chain[-1]] >= 0:
-        chain.append(parents[chain[-1]])
-    chain.reverse()
+    # 4. Follow the path from the start to this state.
+    chain = path_from_root(parents, last)
     return _straightened(timetable, i, weight, length, q[node[chain]], row[chain]), arrived >= 0
 
 

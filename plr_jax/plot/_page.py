@@ -123,9 +123,9 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
         shift = of_building.shift
         parts = zip((of_building.lo + shift).tolist(), (of_building.hi + shift).tolist(), shift.tolist(), strict=True)
         floors = [dict(zip(("lo", "hi", "shift"), part, strict=True)) for part in parts]
-        for arc in of_building.arcs:
-            at = (arc.start[1] + shift[arc.start[0]]).tolist()
-            links.append({"at": at, "index": arc.link, "to": arc.end[0]})
+        for index, link in of_building.arcs:
+            at = (link.start[1] + shift[link.start[0]]).tolist()
+            links.append({"at": at, "index": index, "to": link.end[0]})
     if not isinstance(source, PLR | PairPLR):
         raise ValueError(f"A page needs a PLR or a PairPLR in the plane, got {shortened(source)}.")
     if source.domain.dim != 2:

@@ -186,7 +186,12 @@ def construct(
     if leaf == "best":
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
-        contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
+        # Find the sources of the whole domain once, for all models.
+        cell_sources = getattr(distance_fn, "cell_sources", None)
+        is_plane = domain.dim == 2 and not domain.is_periodic
+        root = cell_sources(grown_domain(domain)) if cell_sources and is_plane else None
+        names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
+        contents = build_best_model(partial(build, root=root), names, partial(_error_of, distance_fn, proof, seed))
     else:
         contents = build(leaf)
     warn_if_cut_off(reach if contents.folding is None else None, contents)
@@ -314,26 +319,14 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
 
 
 def build_best_model(
-    build: Callable[[str, CellSources | None], DecodedFile],
-    distance_fn: DistanceFn,
-    domain: Box,
-    proof: Proof,
-    max_bytes: int | None,
-    only_bytes: bool,  # whether max_bytes is the only limit and all rules are the defaults
-    seed: int,
+    build: Callable[[str], DecodedFile], names: list[str], error_of: Callable[[DecodedFile], float]
 ) -> DecodedFile:
-    """Build a PLR with each suitable leaf model, and return the file content of the PLR with the smallest error.
+    """Build a PLR with each leaf model in ``names``, and return the file content of the PLR with the smallest error.
 
-    ``build`` takes the name of a leaf model and the corners to which shortest paths from points of the domain may go
-    first (None if unknown). After Ctrl-C, choose among the PLRs built so far. If no model can be built, raise the
-    ``ValueError`` of the model that needs the fewest bytes; if no error states this number, raise the first error.
+    After Ctrl-C, choose among the PLRs built so far. If no model can be built, raise the ``ValueError`` of the model
+    that needs the fewest bytes; if no error states this number, raise the first error.
     """
-    # 1. Find the sources of the whole domain once, for all models.
-    root = None
-    if (cell_sources := getattr(distance_fn, "cell_sources", None)) and domain.dim == 2 and not domain.is_periodic:
-        root = cell_sources(grown_domain(domain))
-    names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
-    # 2. Build the models. An interrupt ends a build with a warning and what was built so far; it also ends this loop.
+    # 1. Build the models. An interrupt ends a build with a warning and what was built so far; it also ends this loop.
     best, least_error = None, math.inf
     refused: list[ValueError] = []
     is_interrupted = False
@@ -344,7 +337,7 @@ def build_best_model(
                 try:
                     with warnings.catch_warnings(record=True) as caught:
                         warnings.simplefilter("always", ConstructionInterrupted)
-                        contents = build(name, root)
+                        contents = build(name)
                 except ValueError as refusal:  # for example, a budget too small for one leaf
                     refused.append(refusal)
                     continue
@@ -354,11 +347,7 @@ def build_best_model(
                     else:
                         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
                 best = best or contents
-                error = math.inf
-                if contents.certificate is not None:  # an interrupted build has none
-                    error = contents.certificate.max_error
-                elif proof is Proof.NONE and len(names) > 1:
-                    error = _sampled_error(contents, distance_fn, seed)
+                error = error_of(contents) if len(names) > 1 else 0.0
                 if error < least_error:
                     best, least_error = contents, error
                 if is_interrupted:
@@ -367,7 +356,7 @@ def build_best_model(
             if best is None:
                 raise
             is_interrupted = True
-    # 3. Return the best one.
+    # 2. Return the best one.
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
     if is_interrupted:
@@ -399,8 +388,13 @@ def _models_to_try(
     return [*others, "cone"] if corner_fraction <= _CROWDED else others
 
 
-def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) -> float:
-    """Estimate a PLR's error at random points: the geometric mean of the mean and the largest error."""
+def _error_of(distance_fn: DistanceFn, proof: Proof, seed: int, contents: DecodedFile) -> float:
+    """Return a PLR's largest proven error or, without proofs, the error at random points.
+
+    The latter is the geometric mean of the mean and the largest error.
+    """
+    if proof is not Proof.NONE:  # an interrupted build has no certificate
+        return math.inf if contents.certificate is None else contents.certificate.max_error
     domain = contents.domain
     x = domain.lo + domain.width * np.random.default_rng(seed).random((_ERROR_POINTS, domain.dim))
     distance = as_distances("The distance function", distance_fn(x), x)
@@ -435,16 +429,13 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR, got {shortened(plr)}. Build one with construct.")
     if plr.tables.folding is not None:
-        raise ValueError(
-            "plr must not be folded by symmetries of its distance function, got a folded PLR. Build it with "
-            "certified=True."
-        )
+        message = "plr must not be folded by symmetries of its distance function, got a folded PLR"
+        raise ValueError(f"{message}. Build it with certified=True.")
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain)(grown_domain(plr.domain))
     visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)
     (certificate,) = certificates_of([plr._contents], visible, proof)
-    proven = replace(plr._contents, certificate=certificate, straight=None)
-    return plr_of_leaves(proven).with_label(plr.label)
+    return plr_of_leaves(replace(plr._contents, certificate=certificate, straight=None)).with_label(plr.label)
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], CellSources]:
@@ -453,15 +444,12 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], Cell
     The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells (see
     :func:`certify`).
     """
+    advice = "Build the PLR without a proof and measure its error"
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
-            f"got a {type(oracle).__name__} in {domain.dim} dimensions. Build the PLR without a proof and measure "
-            "its error."
+            f"got a {type(oracle).__name__} in {domain.dim} dimensions. {advice}."
         )
     if domain.is_periodic:
-        raise ValueError(
-            f"A proof needs Euclidean distances, without periodic axes, got {domain}. Build the PLR without a proof "
-            "and measure its error."
-        )
+        raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {advice}.")
     return cell_sources

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._arrays import require_integer, shortened
+from plr_jax._arrays import as_list, require_integer
 from plr_jax._compiled import num_cores
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
@@ -84,15 +84,7 @@ def construct_many(
         ValueError: If ``oracles`` is empty, or as for :func:`construct`.
     """
     # 1. Check the arguments.
-    try:
-        oracles = list(oracles)
-    except TypeError:
-        raise ValueError(f"oracles must be a list of distance functions, got {shortened(oracles)}.") from None
-    if not oracles:
-        raise ValueError("oracles must hold at least one distance function, got none.")
-    for number, oracle in enumerate(oracles):
-        if not callable(oracle):
-            raise ValueError(f"oracles must be functions, got {shortened(oracle)} at index {number}.")
+    oracles = as_list("oracles", oracles, "distance functions", callable)
     domain, model, proof = Box.of(domain, "domain, such as workspace.bounds,"), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
     executor = options.executor
@@ -113,7 +105,7 @@ def construct_many(
     for key, numbers in families.items():
         first = oracles[numbers[0]]
         task = family_task(first, domain, limits) if key >= 0 and isinstance(first, FamilyFn) else None
-        work = partial(_files, alone, task, leaf_model(model.name))
+        work = partial(_files, alone, task)
         for part in np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1))):
             tasks[tuple(part.tolist())] = partial(work, [oracles[i] for i in part])
     total = len(oracles)
@@ -125,13 +117,11 @@ def construct_many(
     return [PLR(padded_file(files[number])) if number in files else None for number in range(total)]
 
 
-def _files(
-    alone: Callable[[DistanceFn], Any], task: FamilyTask | WorstFirst | None, leaf: LeafModel, oracles: Sequence[Any]
-) -> list[bytes]:
+def _files(alone: Callable[..., Any], task: FamilyTask | WorstFirst | None, oracles: Sequence[Any]) -> list[bytes]:
     """Return the bytes of the file of each oracle's PLR.
 
-    ``task`` builds PLRs with the leaf model ``leaf`` for several oracles together, but may leave out some. ``alone``
-    builds the PLR of a single oracle: of each one that the task leaves out, and of all if there is no task.
+    ``task`` builds PLRs of cones for several oracles together, but may leave out some. ``alone`` builds the PLR of a
+    single oracle: of each one that the task leaves out, and of all if there is no task.
     """
     if task is None:
         return [alone(oracle).to_bytes() for oracle in oracles]
@@ -139,7 +129,7 @@ def _files(
     for begin in range(0, len(oracles), task.goals_at_once):
         trees, visible = task(oracles[begin : begin + task.goals_at_once])  # None for a tree that is left out
         built = {i: tree for i, tree in enumerate(trees, begin) if tree is not None}
-        contents = [DecodedFile(task.domain, leaf, *tree) for tree in built.values()]
+        contents = [DecodedFile(task.domain, leaf_model("cone"), *tree) for tree in built.values()]
         if contents and visible is not None:
             proofs = certificates_of(contents, visible, task.limits.proof)
             contents = [replace(file, certificate=proof) for file, proof in zip(contents, proofs, strict=True)]

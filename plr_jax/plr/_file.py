@@ -15,16 +15,8 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import sum_of_columns
 from plr_jax._types import CellSources, Reach
 from plr_jax.geometry.box import Box
-from plr_jax.plr.certificate import (
-    Certificate,
-    Errors,
-    LeafFunctions,
-    Proof,
-    StraightBound,
-    prove_bounds,
-    read_proof,
-    write_proof,
-)
+from plr_jax.plr import certificate as proofs
+from plr_jax.plr.certificate import Certificate, Errors, LeafFunctions, Proof, StraightBound
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.folding import Folding
@@ -62,7 +54,7 @@ def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves
 def encode(contents: DecodedFile) -> bytes:
     """Return the bytes of a PLR's file."""
     body = body_of_leaves(contents)
-    proof = write_proof(body, contents.certificate, contents.straight)
+    proof = proofs.write_proof(body, contents.certificate, contents.straight)
     domain = contents.domain if contents.folding is None else contents.folding.domain
     goals = contents.stored.sources.goals if isinstance(contents.leaf, Cone) else None
     if goals is not None:
@@ -100,7 +92,7 @@ def decode(data: bytes) -> DecodedFile:
     # 2. The proof, then goals and cut-off leaves, if the header says so.
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
-    certificate, straight = read_proof(body, Proof(layer.proof_code), len(cells), cells.dim)
+    certificate, straight = proofs.read_proof(body, Proof(layer.proof_code), len(cells), cells.dim)
     if container.names_goals:
         if not isinstance(leaf, Cone):
             raise ValueError("it names goals, but its leaves have no sources")
@@ -198,8 +190,8 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
         rounding = leaf.rounding_bounds(domain, file.tree.leaves, coefficients[leaves])
         volume = np.ldexp(1.0, -file.tree.leaves.depth.sum(axis=1))
         num_bytes = len(body_of_leaves(file).to_bytes())
-        certificate = partial(Certificate.of, proof=proof, volume=volume, num_bytes=num_bytes)
-        targets.append(_SufficientBounds(leaves, rounding, certificate))
+        encode_bounds = partial(Certificate.of, rounding=rounding, proof=proof, volume=volume, num_bytes=num_bytes)
+        targets.append(_SufficientBounds(leaves, rounding, encode_bounds))
 
     def sufficient(least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         bounds = [target(least[target.leaves], most[target.leaves], recompute) for target in targets]
@@ -207,7 +199,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
         return low, high
 
     # 3. Prove the bounds together, and encode them for each file.
-    lower, upper = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
+    lower, upper = proofs.prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
     return [target.encode(lower[target.leaves], upper[target.leaves]) for target in targets]
 
 
@@ -220,12 +212,9 @@ class _SufficientBounds:
 
     leaves: slice  # the PLR's leaves among all
     rounding: Errors
-    certificate: Callable[..., Certificate]  # ``Certificate.of`` for this PLR
+    encode: Callable[..., Certificate]  # ``Certificate.of`` for this PLR
     last: Certificate | None = None  # certificate of the attained errors that were encoded last
     attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call, one in each row
-
-    def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
-        return self.certificate(lower, upper, self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.
@@ -241,6 +230,6 @@ class _SufficientBounds:
         is_changed = self.attained is None or not np.array_equal(self.attained, attained)
         holds_all = last is not None and last.codes is None and max(most.max(), -least.min()) <= last.scale
         if last is None or (is_changed and (recompute or not holds_all)):
-            self.last = last = self.encode(least, most, None if recompute else last)
+            self.last = last = self.encode(least, most, before=None if recompute else last)
         self.attained = attained
         return last.sufficient_bounds(least, most, self.rounding)

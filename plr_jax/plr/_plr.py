@@ -1,6 +1,6 @@
 """The public class :class:`PLR`: a distance function that is stored in the leaves of a binary space partition."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -11,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_function, shortened
+from plr_jax._arrays import as_list, as_points, as_queries, no_attribute, padded, require_function, shortened
 from plr_jax._compiled import has_doubles, is_on_one_host, pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -70,9 +70,8 @@ class PLR(FileBacked):
         """
         if (certificate := self._contents.certificate) is None:
             return None
-        bounds = certificate.bounds().astype(np.float32)
         with jax.ensure_compile_time_eval():
-            return jax.device_put(padded(bounds.T, padded_size(bounds.shape[1])).T)
+            return jax.device_put(padded(certificate.bounds().astype(np.float32).T).T)
 
     @cached_property
     def goals(self) -> Int[Array, " rows"] | None:
@@ -80,7 +79,7 @@ class PLR(FileBacked):
         if (goals := goal_of_leaves(self.leaf, self._contents.stored)) is None:
             return None
         with jax.ensure_compile_time_eval():
-            return jax.device_put(padded(goals.astype(np.int32), padded_size(len(goals))))
+            return jax.device_put(padded(goals.astype(np.int32)))
 
     def __getattr__(self, name: str) -> Any:
         raise no_attribute(self, name, "A PLR is immutable: construct a new PLR for a changed map or another goal.")
@@ -114,12 +113,11 @@ class PLR(FileBacked):
         """
         if not is_on_one_host(x) or has_doubles() or x.size > _FEW * self.tables.dim:
             return None
-        is_double = x.dtype == np.float64
-        if not is_double and (
-            x.dtype != np.float32 or isinstance(self.file, Tracer) or self._corner_if_far is not None
-        ):
-            return None  # in a domain far from the origin, the reader tells points apart that 32 bits do not
-        return self._reader
+        if x.dtype == np.float64:
+            return self._reader
+        # In a domain far from the origin, the reader tells points apart that 32 bits do not.
+        is_near = not isinstance(self.file, Tracer) and self._corner_if_far is None
+        return self._reader if x.dtype == np.float32 and is_near else None
 
     @cached_property
     def _reader(self) -> NumpyPLR | None:
@@ -447,16 +445,8 @@ class PLR(FileBacked):
         return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
 
 
-def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
-    if not isinstance(plrs, Iterable):
-        raise ValueError(f"plrs must be a list of PLRs, got {shortened(plrs)}; for a single PLR pass [plr].")
-    plrs = list(plrs)
-    for i, plr in enumerate(plrs):
-        if not isinstance(plr, PLR):
-            raise ValueError(f"plrs must be a list of PLRs, got {shortened(plr)} at index {i}.")
-    if not plrs:
-        raise ValueError("A stack needs at least one PLR, got an empty list.")
-    return plrs
+def as_plrs(plrs: Sequence[PLR]) -> list[PLR]:
+    return as_list("plrs", plrs, "PLRs, such as [plr]", lambda plr: isinstance(plr, PLR))
 
 
 def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
@@ -490,10 +480,8 @@ class LowerBound:
     @staticmethod
     def stack(fns: Sequence["LowerBound"]) -> TableStack:
         """Combine one lower bound per robot into a function of joint configurations; see :meth:`PLR.stack`."""
-        if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
-            raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
-        bands = tuple(fn.plr.band for fn in fns)
-        return replace(PLR.stack([fn.plr for fn in fns]), bands=bands)
+        fns = as_list("fns", fns, "lower bounds, such as [plr.lower]", lambda fn: isinstance(fn, LowerBound))
+        return replace(PLR.stack([fn.plr for fn in fns]), bands=tuple(fn.plr.band for fn in fns))
 
 
 def from_bytes(data: bytes) -> PLR:

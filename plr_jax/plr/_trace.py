@@ -137,10 +137,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     paths[at_source, :-1] = paths[at_source, 1:]
     paths = paths[:, : max(1, counts.max(initial=1))]
 
-    # 3. Find how each path ends.
-    is_at_goal = (sources.offsets[chain[:, -1]] <= rounding) | (
-        sources.goals is not None
-    )  # all named roots are goals
+    # 3. Find how each path ends. Roots with numbers are goals, or places from which paths jump to other sources.
+    is_at_goal = (sources.offsets[chain[:, -1]] <= rounding) | (sources.goals is not None)
     status = np.where(is_at_goal[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     status[~is_free] = TraceStatus.CROSSES_WALL
 

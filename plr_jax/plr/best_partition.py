@@ -82,15 +82,13 @@ class TreeCosts(NamedTuple):
     least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
 
     @staticmethod
-    def of(level: BoxLevel, below: "TreeCosts | None", price: float, weight: float, limits: Limits) -> "TreeCosts":
+    def of(level: BoxLevel, below: "TreeCosts", price: float, weight: float, limits: Limits) -> "TreeCosts":
         # `below` has the costs of the next level. For a box b, over all axes along which its halves l, u are known:
         #   best(b)  = min(cost(b) + price, best(l) + best(u))
         #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
         best = level.costs(weight) + price
         halved = cost_if_halved(weight * level.boxes.peak, price)
         least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
-        if below is None:
-            return TreeCosts(best, least)
         for lower, upper in level.child:
             known = np.flatnonzero(lower >= 0)
             for total, of_halves in ((best, below.best), (least, below.least)):
@@ -127,9 +125,10 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     #   most(half) = max over all boxes b with this half of min(best(b), most(b)) - least(other half of b).
     # 1. Upward: costs of the boxes of every level.
     costs: dict[int, TreeCosts] = {}
+    none = TreeCosts(np.zeros(0), np.zeros(0))  # below the last level
 
     def update_costs(depth: int) -> None:
-        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1), price, weight, limits)
+        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1, none), price, weight, limits)
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)

@@ -387,8 +387,7 @@ class Certificate:
         lower, upper = self._classes
         holds = (least - rounding >= lower[:, None]) & (most + rounding <= upper[:, None])
         narrowest = holds.argmax(axis=0)
-        is_held = holds.any(axis=0)
-        low, high = (np.where(is_held, of_classes[narrowest], 0.0) for of_classes in (lower, upper))
+        low, high = (np.where(holds.any(axis=0), of_classes[narrowest], 0.0) for of_classes in (lower, upper))
         spare = _SPARE_OF_CLASS * self.scale
         return np.minimum(least - spare, low + rounding), np.maximum(most + spare, high - rounding)
 

@@ -83,6 +83,9 @@ class BitWriter:
     def write_floats(self, values: Float[np.ndarray, " n"]) -> "BitWriter":
         return self.write(bits_of_floats(values), 32)
 
+    def write_doubles(self, values: Float[np.ndarray, " n"]) -> "BitWriter":
+        return self.write(values.astype("<f8").view("<u4").astype(np.int64), 32)
+
     def write_set(self, member: Bool[np.ndarray, " n"]) -> "BitWriter":
         """Append a subset of ``range(n)``: how many members it has, then the gaps between them, Exp-Golomb coded."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
@@ -154,6 +157,10 @@ class BitReader:
 
     def read_floats(self, num_values: int) -> Float[np.ndarray, " n"]:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
+
+    def read_doubles(self, num_values: int) -> Float[np.ndarray, " n"]:
+        words = self.read_fixed_width(2 * num_values, 32).astype("<u4")
+        return words.view("<f8").astype(np.float64)
 
     def read_set(self, universe: int) -> Bool[np.ndarray, " n"]:
         """Read a subset of ``range(universe)``, and return whether each number is a member."""

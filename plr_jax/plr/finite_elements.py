@@ -103,10 +103,9 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     # 3. Hanging groups: corners of one leaf that are no corner of the other. Interpolate each from the first leaf on
     #    which it hangs, until only free groups remain. Row i of `of_groups` then has the weights of free groups in
     #    the value of group i.
-    other_leaf, other_t = leaf[::-1], t[::-1]
     hangs = is_corner & ~is_corner[::-1]
     hanging, first_point = np.unique(group[node[hangs]], return_index=True)
-    host_leaf, host_t = other_leaf[hangs][first_point], other_t[hangs][first_point]
+    host_leaf, host_t = (of_others[::-1][hangs][first_point] for of_others in (leaf, t))
     step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
     of_groups = leaf_faces.resolve_constraints(step, hanging)
     # 4. Level of a group, from its first node.
@@ -213,7 +212,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
-def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
+def basis_monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
     """Return each basis function as a polynomial of the coordinates ``t``: one row of coefficients per function.
 
     Each column is for a product of powers ``t[0]**i * t[1]**j * ...``; the exponent of the last axis varies fastest.

@@ -114,10 +114,8 @@ class Folding:
         rotates points.
         """
         if self.is_turned:
-            raise ValueError(
-                "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "
-                "Use plr.cells with plr.folded_domain."
-            )
+            got = "but this PLR is folded along rotated axes. Use plr.cells with plr.folded_domain"
+            raise ValueError(f"Leaf boxes need symmetries along the axes of the domain, {got}.")
         low = np.concatenate([self.center + np.where(is_odd, -hi, lo) for is_odd in self._reversals])
         high = np.concatenate([self.center + np.where(is_odd, -lo, hi) for is_odd in self._reversals])
         domain = self.domain

@@ -128,9 +128,8 @@ def folding_numbers(
     lo, hi = box.lo.astype(np.float32), box.hi.astype(np.float32)
     lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
     hi = np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)
-    endless = np.array([[-np.inf], [np.inf]], np.float32)
     reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     centers = np.stack([center, exact - center]).astype(np.float32)
-    corners = np.where(folding.domain.periodic, endless, [lo, hi])
+    corners = np.where(folding.domain.periodic, np.array([[-np.inf], [np.inf]], np.float32), [lo, hi])
     axes = folding.axes.astype(np.float32) if folding.is_turned else None
     return centers, corners, axes, tuple(zip(folding.pivots, reversed_axes, strict=True))

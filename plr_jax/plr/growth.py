@@ -159,17 +159,10 @@ def nodes_of_fit(
     # Residuals are 0 at samples that do not reach the goal.
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
-    may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
-    return Nodes(
-        cells=fit.cells,
-        coefficients=coefficients,
-        error=error,
-        volume=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
-        axis=axis,
-        key=np.where(may_split, np.minimum(priority, key_of_parent), NEVER),
-        child=np.full(len(fit), -1),
-        is_cut_off=fit.is_cut_off,
-    )
+    may_split = (priority > np.maximum(limits.tolerance, fit.noise)) & is_within_depth(fit.cells, axis, limits)
+    key = np.where(may_split, np.minimum(priority, key_of_parent), NEVER)
+    volume = volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1))
+    return Nodes(fit.cells, coefficients, error, volume, axis, key, np.full(len(fit), -1), fit.is_cut_off)
 
 
 def urgent_first(
@@ -185,11 +178,6 @@ def urgent_first(
     return np.where(is_urgent, highest, priority), np.where(is_urgent, fit.urgent_axis, axis)
 
 
-def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, " cells"]:
-    """Return, for each cell, the value that the cell's priority must exceed for the cell to be split."""
-    return np.maximum(limits.tolerance, fit.noise)
-
-
 def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limits) -> Bool[np.ndarray, " cells"]:
     """Return whether each cell can be halved along its ``axis`` without exceeding the limits of depth."""
     along = cells.depth[np.arange(len(cells)), axis]
@@ -202,11 +190,10 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
     if priority.shape != (cells,) or np.isnan(priority).any():
         expected = f"one priority a cell, shape ({cells},) without NaN"
         raise ValueError(f"should_split must return {expected}, got shape {priority.shape}.")
-    if axis.shape != (cells,) or (axis < 0).any() or (axis >= dim).any():
-        raise ValueError(
-            f"split must return one axis from 0 to {dim - 1} a cell, shape ({cells},), got shape {axis.shape} with "
-            f"values from {axis.min(initial=dim)} to {axis.max(initial=-1)}."
-        )
+    least, most = axis.min(initial=dim), axis.max(initial=-1)
+    if axis.shape != (cells,) or least < 0 or most >= dim:
+        expected = f"one axis from 0 to {dim - 1} a cell, shape ({cells},)"
+        raise ValueError(f"split must return {expected}, got shape {axis.shape} with values from {least} to {most}.")
 
 
 # The rules SHOULDSPLIT and SPLIT of Algorithm 1. The leaf of the largest positive priority is split next.
@@ -363,11 +350,11 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
         # Undo the last splits until the file fits, by bisection; no leaves if one leaf is too large.
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
-        num_fitting = bisect_right(
-            range(len(order) + 1),
-            limits.max_bytes,
-            key=lambda num_splits: encoding.size(nodes, nodes.leaves_of_splits(order[:num_splits]), bits),
-        )
+
+        def size(num_splits: int) -> int:
+            return encoding.size(nodes, nodes.leaves_of_splits(order[:num_splits]), bits)
+
+        num_fitting = bisect_right(range(len(order) + 1), limits.max_bytes, key=size)
         return nodes.leaves_of_splits(order[: num_fitting - 1]) if num_fitting else np.empty(0, np.int64)
 
     def expected_error(leaf: Leaves, bits: int) -> float:

@@ -272,9 +272,8 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
         # of the node below (side 0), the lower half of the node above. Else the half must overlap the other node.
         return np.where(axis == pairs[2], half != side, overlap(tree.cells, pairs[0], tree.cells, pairs[1], axis))
 
-    lower, upper, axis = leaf_pairs(tree, tree, pairs, keep)
-    order = np.lexsort((axis, upper, lower))
-    return SharedFaces(lower[order], upper[order], axis[order])
+    faces = leaf_pairs(tree, tree, pairs, keep)  # rows: lower leaf, upper leaf, axis
+    return SharedFaces(*faces[:, np.lexsort(faces[::-1])])
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:

@@ -54,9 +54,8 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Value
         value = evaluate_tables(replace(tables, folding=None), _fold(tables.folding, x, is_outside))
     else:
         x = _wrap(tables, x) if tables.periodic else x
-        row = find_row(tables, _constant(x))
         is_outside, answer = outside_domain(tables, x)
-        value = _value(tables, row, x, is_outside)
+        value = _value(tables, find_row(tables, _constant(x)), x, is_outside)
         if tables.straight is not None:
             value = jnp.maximum(value, _straight_bound(tables, x, is_outside))
     # 3. Replace answers outside the domain.
@@ -96,8 +95,7 @@ def goals_in_tables(tables: Tables, goals: Int[Array, " rows"], x: Array) -> Int
     ``goals`` has the index of each leaf's goal.
     """
     x = _constant(_as_float_points(tables, x))
-    leads = jnp.isfinite(evaluate_tables(tables, x))
-    return jnp.where(leads, gather(goals, lookup(tables, x)), -1)
+    return jnp.where(jnp.isfinite(evaluate_tables(tables, x)), gather(goals, lookup(tables, x)), -1)
 
 
 def waypoints_in_tables(tables: Tables, x: Array) -> Points:
@@ -215,8 +213,7 @@ def _fold(domain: FoldedDomain, x: Points, outside: Flags) -> Points:
     lo, hi = domain.corners.astype(x.dtype)
     columns = [straight_through(z[axis], jnp.clip(_constant(z[axis]), lo[axis], hi[axis])) for axis in axes]
     # Keep XLA from repeating the folding wherever a coordinate is read.
-    folded = jax.lax.optimization_barrier(jnp.stack(columns))
-    return jnp.moveaxis(folded, 0, -1)
+    return jnp.moveaxis(jax.lax.optimization_barrier(jnp.stack(columns)), 0, -1)
 
 
 def _wrap(tables: Tables, x: Points) -> Points:
@@ -269,8 +266,7 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
     # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
-    placed = jnp.maximum(jnp.where(scaled < top, scaled, top) + start, 1)
-    return placed.astype(np.float32).view(np.uint32)
+    return jnp.maximum(jnp.where(scaled < top, scaled, top) + start, 1).astype(np.float32).view(np.uint32)
 
 
 def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32[Array, " dim"]) -> Bits:
@@ -316,10 +312,8 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     for level in range(1, len(trie.bits)):
         # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
         # always holds, but XLA cannot know that, and does not fuse the loops.
-        is_used = trie.bits[level].any()
-        entry = jax.lax.cond(
-            is_used, lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
-        )
+        bits = trie.bits[level]
+        entry = jax.lax.cond(bits.any(), lambda entry, bits=bits: descend(entry, bits), jnp.zeros_like, entry)
     return entry >> np.uint32(1)
 
 

@@ -100,8 +100,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     num_inside = num_samples - 1 - len(corners) - len(faces) * per_face
     inside = 2 * lattice(num_inside, rng.random(dim)) - 1
     u = np.concatenate([np.zeros((1, dim)), inside, corners, *faces]) * (1 + 2 * margin)  # the center is the first
-    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + num_inside, len(u) - 1 - num_inside])
-    return Pattern(u, weight)
+    return Pattern(u, np.repeat([1.0, _FACE_WEIGHT], [1 + num_inside, len(u) - 1 - num_inside]))
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "num_points dim"]:
@@ -144,15 +143,11 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
         Values at cell centers ``(cells,)``, and half of the rise across each cell along each axis ``(cells, dim)``.
     """
     plane = row_products(value, pattern.pseudo_inverse.T)
-    masked = masked_cells(weight)
+    masked = np.flatnonzero((weight != 1).any(axis=1))
     if len(masked):
         design, weight = pattern.design, weight[masked] * pattern.weight
         plane[masked] = solve_planes(design, weight, row_products(weight * value[masked], design))
     return plane[:, 0], plane[:, 1:]
-
-
-def masked_cells(weight: OfSamples) -> Int[np.ndarray, " masked"]:
-    return np.flatnonzero((weight != 1).any(axis=1))
 
 
 def solve_planes(
@@ -215,7 +210,7 @@ class CellFit(Rows):
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
         """Indices of the cells with a sample whose weight is not 1, such as one that does not reach the goal."""
-        return masked_cells(self.weight)
+        return np.flatnonzero((self.weight != 1).any(axis=1))
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, " cells"]:
@@ -392,9 +387,8 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     try:
         answer = distance_fn(x.copy())  # a copy, since the function may write to its argument
     except Exception as error:
-        error.add_note(
-            f"distance_fn must return distances (n,) for points (n, dim); it was called with shape {x.shape}."
-        )
+        note = "distance_fn must return distances (n,) for points (n, dim)"
+        error.add_note(f"{note}; it was called with shape {x.shape}.")
         raise
     return as_distances("distance_fn", answer, x)
 
@@ -442,11 +436,9 @@ def run_tasks(
 def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
     answer = as_numbers("weight_fn's answer", weight_fn(x.copy()), f"real numbers of shape ({len(x)},)")
     weight = as_values("weight_fn", answer, len(x))
-    if not np.isfinite(weight).all() or (weight < 0).any():
-        raise ValueError(
-            f"weight_fn must return finite weights >= 0, got values from {weight.min(initial=np.inf):g} to "
-            f"{weight.max(initial=-np.inf):g}."
-        )
+    least, most = weight.min(initial=np.inf), weight.max(initial=-np.inf)  # NaN if any weight is
+    if not (least >= 0 and most < np.inf):
+        raise ValueError(f"weight_fn must return finite weights >= 0, got values from {least:g} to {most:g}.")
     return weight
 
 

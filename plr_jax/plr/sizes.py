@@ -50,5 +50,4 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 def max_entries(num_bytes: int) -> int:
     """Return the most entries of lookup tables for a file of ``num_bytes`` bytes, to limit memory during loading."""
-    bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
-    return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
+    return 1 << min(max(byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)

@@ -111,10 +111,9 @@ def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
     A block is a cell of a coarse grid with ``2**block_bits`` cells along each axis. Row ``i`` of the result is for
     the block with the row-major index ``i``. ``cells`` are the leaves.
     """
-    below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
-    np.maximum.at(shape, row_major(block, block_bits), below[leaf])
+    np.maximum.at(shape, row_major(block, block_bits), np.maximum(cells.depth - block_bits, 0)[leaf])
     return shape
 
 
@@ -189,9 +188,8 @@ def leaves_of_slots(
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
     pair, slot = enumerate_boxes(first, count)
-    start = offset[block[pair]] + row_major(slot, shape[block[pair]])
     leaf_of_start = np.full(offset[-1], -1, np.int32)
-    leaf_of_start[start] = leaf[pair]
+    leaf_of_start[offset[block[pair]] + row_major(slot, shape[block[pair]])] = leaf[pair]
     starts = np.flatnonzero(leaf_of_start >= 0)
     return np.repeat(leaf_of_start[starts].astype(np.uint32), np.diff(starts, append=offset[-1]))
 
@@ -331,12 +329,13 @@ class Tables:
 
     # Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
     frame: Float[Array, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
-    bits: UInt32[Array, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
+    # Mask of the fraction bits that index an entry or block, and their right shift.
+    bits: UInt32[Array | np.ndarray, "2 dim"]
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[Array, " slots"] | UInt32[Array, " slots"]
+    leaf_of_slot: UInt16[Array | np.ndarray, " slots"] | UInt32[Array, " slots"]
     # For each leaf or, with pages, for each entry: see :func:`arrange_parameters`.
-    leaf_parameters: Float[Array, "count padded"] | Float[Array, " numbers"]
+    leaf_parameters: Float[Array | np.ndarray, "count padded"] | Float[Array, " numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,11 @@ def save_building(building: Building, path: str | os.PathLike[str]) -> None:
 
     ``OSError`` if the file cannot be written; an interrupted write leaves no partial file.
     """
-    names = *_KEYS, "both_ways"
     content = {
         "format": format_name(_KIND),
         "version": 1,
         "floors": [workspace_entry(floor) for floor in building.floors],
-        "links": [{name: getattr(link, name) for name in names} for link in building.links],
+        "links": [asdict(link) for link in building.links],
     }
     write_atomically(file_path(path), (json.dumps(content, indent=1) + "\n").encode())
 
@@ -49,9 +49,8 @@ def read_building(path: str | os.PathLike[str]) -> Building:
         require_format(content, _KIND, 1, ("floors", "links"))
         floors, links = content["floors"], content["links"]
         if not isinstance(floors, list) or not isinstance(links, list):
-            raise ValueError(
-                f'expected lists of "floors" and "links", got {shortened(floors)} and {shortened(links)}.'
-            )
+            got = f"{shortened(floors)} and {shortened(links)}"
+            raise ValueError(f'expected lists of "floors" and "links", got {got}.')
         return Building([_read_floor(file, i, entry) for i, entry in enumerate(floors)], map(_read_link, links))
 
 
@@ -74,4 +73,4 @@ def _read_floor(file: Path, i: int, entry: Any) -> Workspace:
 def _read_link(entry: Any) -> Link:
     if not isinstance(entry, dict) or not set(_KEYS) <= set(entry):
         raise ValueError(f"expected links with {', '.join(_KEYS)}, got {shortened(entry)}.")
-    return Link(*(entry[key] for key in _KEYS), entry.get("both_ways", True))
+    return Link(entry["start"], entry["end"], entry["cost"], entry.get("both_ways", True))

@@ -1,6 +1,5 @@
 """The configuration space of a planar arm: a chain of links that revolute joints turn."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -56,7 +55,7 @@ class PlanarArm:
         workspace: Any,
         lengths: ArrayLike,
         base: ArrayLike,
-        width: float | int = 0.0,
+        width: float | int = 0,
         self_collision: bool = False,
     ):
         require_workspace(workspace)
@@ -80,7 +79,7 @@ class PlanarArm:
     @property
     def domain(self) -> Box:
         """Angles from ``-pi`` to ``pi``, all periodic."""
-        return Box([-math.pi] * self.dof, [math.pi] * self.dof, periodic=(True,) * self.dof)
+        return Box([-np.pi] * self.dof, [np.pi] * self.dof, periodic=(True,) * self.dof)
 
     @property
     def motion_cost(self) -> MotionCost:
@@ -182,8 +181,7 @@ class PlanarArm:
             hit[rows] = crosses_walls(self.workspace, ends[rows, i : i + 2], reaches[rows, i : i + 2])
             for t in _PROBES:
                 rows = np.flatnonzero(~hit)
-                x = (1 - t) * ends[rows, i] + t * ends[rows, i + 1]
-                moves = (1 - t) * reaches[rows, i] + t * reaches[rows, i + 1]
+                x, moves = ((1 - t) * of_ends[rows, i] + t * of_ends[rows, i + 1] for of_ends in (ends, reaches))
                 hit[rows] = walls_within(self.workspace, x, self.width / 2 - moves)
         deep = self.width - self._link_motion_bounds(half) - 2 * self.workspace.tolerance
         return hit | (self._link_distances(ends) <= deep).any(axis=1)

@@ -21,6 +21,7 @@ _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the la
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
 Numbers: TypeAlias = Float[np.ndarray, " n"]
+ClearanceFn: TypeAlias = Callable[[np.ndarray], ArrayLike]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -56,16 +57,12 @@ class ClearanceSpace:
     """
 
     domain: Box
-    clearance: Callable[[np.ndarray], ArrayLike]
+    clearance: ClearanceFn
     lipschitz: Float[np.ndarray, " dof"]
     motion_cost: MotionCost
 
     def __init__(
-        self,
-        domain: Any,
-        clearance: Callable[[np.ndarray], ArrayLike],
-        lipschitz: ArrayLike,
-        motion_cost: MotionCost | None = None,
+        self, domain: Any, clearance: ClearanceFn, lipschitz: ArrayLike, motion_cost: MotionCost | None = None
     ):
         domain = Box.of(domain, "domain")
         if not callable(clearance):
@@ -199,11 +196,10 @@ class ClearanceSpace:
         if (excess > 0).any():
             i = excess.argmax()
             got = f"{a[i]:.6g} at {format_numbers(q0[i])} and {b[i]:.6g} at {format_numbers(q1[i])}"
-            raise ValueError(
-                f"lipschitz must bound how fast the clearance changes, but the clearance is {got}: they differ by "
-                f"{difference[i]:.6g}, where {format_numbers(self.lipschitz)} allows {allowed[i]:.6g}. "
-                + _advice(self.lipschitz, change[i], difference[i])
-            )
+            allows = f"{format_numbers(self.lipschitz)} allows {allowed[i]:.6g}"
+            expected = f"lipschitz must bound how fast the clearance changes, but the clearance is {got}"
+            advice = _advice(self.lipschitz, change[i], difference[i])
+            raise ValueError(f"{expected}: they differ by {difference[i]:.6g}, where {allows}. {advice}")
 
 
 def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:

@@ -216,8 +216,7 @@ def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
     factors = as_values("The cost map", cost_map(q), len(q))
-    expected = "A cost map's factors must be positive and finite"
-    _require((factors > 0) & (factors < np.inf), expected, [factors], [q])
+    _require((factors > 0) & (factors < np.inf), "A cost map's factors must be positive and finite", [factors], [q])
     return factors, None
 
 

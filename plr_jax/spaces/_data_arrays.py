@@ -49,15 +49,12 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
         raise ValueError(f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for one.')
     if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
         raise ValueError(f"{name} must have the dimensions y and x in this order, got {raster.dims}: transpose it.")
-    if (
-        any(str(axis).lower() in _DEGREES for axis in raster.dims)
-        or any(str(raster[axis].attrs.get("units", "")).startswith("degree") for axis in raster.dims)
-        or any(_is_geographic(coordinate.attrs) for coordinate in raster.coords.values())
-    ):
-        message = (
-            f"Coordinates {raster.dims} seem to be degrees, so that lengths are in degrees: project the raster, with "
-            "rioxarray by raster.rio.reproject(raster.rio.estimate_utm_crs())."
-        )
+    in_degrees = any(str(axis).lower() in _DEGREES for axis in raster.dims)
+    in_degrees |= any(str(raster[axis].attrs.get("units", "")).startswith("degree") for axis in raster.dims)
+    in_degrees |= any(_is_geographic(coordinate.attrs) for coordinate in raster.coords.values())
+    if in_degrees:
+        advice = "project the raster, with rioxarray by raster.rio.reproject(raster.rio.estimate_utm_crs())"
+        message = f"Coordinates {raster.dims} seem to be degrees, so that lengths are in degrees: {advice}."
         warnings.warn(message, UserWarning, stacklevel=4)
     # 2. Along x, then y: coordinates are centers of cells, half a step from their sides.
     lo, hi, slices = [], [], []

@@ -164,8 +164,7 @@ class PlaneSpace(BodySpace):
         state = np.where(is_free, CellState.FREE, CellState.BLOCKED).astype(np.int8)
         # 2. Other boxes are MIXED if they meet passable space. Boxes are shrunk, so that slivers do not count.
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
-        is_mixed = shapely.intersects(self._passable, boxes)
-        state[near] = np.where(is_mixed, CellState.MIXED, CellState.BLOCKED)
+        state[near] = np.where(shapely.intersects(self._passable, boxes), CellState.MIXED, CellState.BLOCKED)
         # 3. FREE boxes that touch a contact are MIXED, since no path passes the contact.
         free = np.flatnonzero(state == CellState.FREE)
         state[free[self._touch_contacts(_shrunk(center[free], half[free], 0.0))]] = CellState.MIXED
@@ -219,11 +218,9 @@ class PlaneSpace(BodySpace):
 
         If the robot may pass between touching obstacles, or is a disc, the result is False.
         """
-        touch = np.zeros(len(shapes), dtype=bool)
-        if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
-            tree = self.workspace.boundary.contact_tree
-            touch[tree.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True
-        return touch
+        if self.robot.circumscribed_radius > 0 or self.workspace.squeeze:
+            return np.zeros(len(shapes), dtype=bool)
+        return self.workspace.boundary.touches_contact(shapes, self.workspace.tolerance)
 
     @cached_property
     def _passable(self) -> Any:

@@ -36,7 +36,6 @@ _MAX_ENTRIES = 2**26  # entries of a sparse table (256 MiB); a larger table lack
 _WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
-Extremes = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 Entries = Int[np.ndarray, "n rank"]
 
 
@@ -85,17 +84,16 @@ class RasterCost:
         expected = f"factors on a raster of {domain.dim} axes"
         factors = np.array(raster_values("values", values, expected)[order], order="C")
         if factors.ndim != domain.dim or factors.ndim > _MAX_AXES or factors.size == 0:
+            expected += f", one per axis of the bounds and at most {_MAX_AXES}, with at least one cell"
             raise ValueError(
-                f"values must be {expected}, one per axis of the bounds and at most {_MAX_AXES}, with at least one "
-                f"cell, got shape {factors.shape}. The last array axis runs along x."
+                f"values must be {expected}, got shape {factors.shape}. The last array axis runs along x."
             )
         wrong = ~((factors >= _MIN_FACTOR) & (factors <= _MAX_FACTOR)) & (factors != np.inf)
         if wrong.any():
             cell = tuple(map(int, np.unravel_index(np.argmax(wrong), wrong.shape)))
-            raise ValueError(
-                f"values must be from {_MIN_FACTOR:g} to {_MAX_FACTOR:g}, or inf for a blocked cell, got "
-                f"{factors[cell]:g} at {cell}. For the bytes of a ROS cost map use RasterCost.from_costmap."
-            )
+            expected = f"from {_MIN_FACTOR:g} to {_MAX_FACTOR:g}, or inf for a blocked cell"
+            advice = "For the bytes of a ROS cost map use RasterCost.from_costmap."
+            raise ValueError(f"values must be {expected}, got {factors[cell]:g} at {cell}. {advice}")
         if np.isinf(factors).all():
             raise ValueError(f"values must leave a cell that is not blocked, got {factors.shape} blocked cells.")
         factors.flags.writeable = False
@@ -119,8 +117,14 @@ class RasterCost:
         too, unless ``unknown_is_free``: then they get the factor of cost 252, as in NavFn. Other arguments and errors
         are as for the class.
         """
-        multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; for an OccupancyGrid use from_occupancy_grid")
+        return cls._from_costs(costs, bounds, cost_travel_multiplier, unknown_is_free, interpolation)
+
+    @classmethod
+    def _from_costs(
+        cls, costs: Raster, bounds: ArrayLike, multiplier: float | int, unknown_is_free: bool, interpolation: str
+    ) -> "RasterCost":
+        multiplier = as_finite("cost_travel_multiplier", multiplier)
         factors = 1 + multiplier * np.minimum(costs, _MAX_COST) / _MAX_COST
         blocked = costs >= _INSCRIBED
         if as_bool("unknown_is_free", unknown_is_free):
@@ -150,13 +154,7 @@ class RasterCost:
         costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
         costs[grid >= _GRID_LETHAL] = _LETHAL
         costs[grid < 0] = _UNKNOWN
-        return cls.from_costmap(
-            costs,
-            bounds,
-            cost_travel_multiplier=cost_travel_multiplier,
-            unknown_is_free=unknown_is_free,
-            interpolation=interpolation,
-        )
+        return cls._from_costs(costs, bounds, cost_travel_multiplier, unknown_is_free, interpolation)
 
     def inflated(
         self,
@@ -371,7 +369,7 @@ class SparseTable:
 
     values: Raster
 
-    def extremes(self, first: Entries, last: Entries) -> Extremes:
+    def extremes(self, first: Entries, last: Entries) -> tuple[Numbers, Numbers]:
         """Return the least and the largest entry of each block, ``(n,)`` each.
 
         Block ``i`` has the indices from ``first[i]`` to ``last[i]``, both included, along each axis. Results may be
@@ -390,7 +388,7 @@ class SparseTable:
                 least[rows], most[rows] = self._window_extremes(int(k), first[rows], last[rows], counts[part])
         return least, most
 
-    def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
+    def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> tuple[Numbers, Numbers]:
         # `counts` windows along each axis cover a block: side by side, but the last one ends where the block ends.
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)

@@ -1,6 +1,5 @@
 """The configuration space of a rigid body in the plane, SE(2): positions and headings."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -20,7 +19,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
 
 # Radians. If the headings of a box differ by less than this from the middle heading, a polygon encloses the body at
 # all headings, else its circumscribed circle does.
-_WIDEST_ARC = math.pi / 3
+_WIDEST_ARC = np.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
@@ -52,7 +51,7 @@ class RigidBodySpace(BodySpace):
     def domain(self) -> Box:
         """The bounds of the workspace, and headings from ``-pi`` to ``pi``, which are periodic."""
         bounds = self.workspace.bounds
-        return Box((*bounds.lo, -math.pi), (*bounds.hi, math.pi), periodic=(False, False, True))
+        return Box((*bounds.lo, -np.pi), (*bounds.hi, np.pi), periodic=(False, False, True))
 
     @property
     def motion_cost(self) -> MotionCost:
@@ -79,22 +78,18 @@ class RigidBodySpace(BodySpace):
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
         center, half = as_boxes(lo, hi, 3)
-        state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         # 1. A body far from all walls is free. This test is fast.
-        test = motion_test(self.workspace, self.robot)
         reach = _motion_bounds(half, 0.0)  # of the reference point; `has_room` allows any heading
-        has_room = test.has_room(center[:, 0], center[:, 1], reach)
-        state[has_room] = CellState.FREE
+        has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], reach)
+        state = np.where(has_room, CellState.FREE, CellState.MIXED).astype(np.int8)
         # 2. Enclose what the body covers in the other boxes, batch by batch. A core of k vertices leads to hulls
         #    of 4 * (2 * k + 1) points.
-        unsure = np.flatnonzero(~has_room)
-        for part in batches(unsure, max(1, _POINTS // (8 * len(self.robot.core) + 4))):
-            state[part] = np.where(self._boxes_are_free(center[part], half[part]), CellState.FREE, CellState.MIXED)
+        for part in batches(np.flatnonzero(~has_room), max(1, _POINTS // (8 * len(self.robot.core) + 4))):
+            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         # 3. Of the other boxes, those whose center is not free may be blocked.
-        unsure = unsure[state[unsure] == CellState.MIXED]
+        unsure = np.flatnonzero(state == CellState.MIXED)
         unsure = unsure[~self.is_free(center[unsure])]
-        is_blocked = self._boxes_are_blocked(center[unsure], half[unsure])
-        state[unsure] = np.where(is_blocked, CellState.BLOCKED, CellState.MIXED)
+        state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
@@ -195,7 +190,7 @@ def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, " n"]:
     """
     # The reference point moves by at most half a diagonal, and a turn by h moves the point by the chord
     # 2 * radius * sin(h / 2).
-    return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
+    return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], np.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Float[np.ndarray, " n"] | float = 0.0) -> Float[np.ndarray, "n k 2"]:

@@ -1,15 +1,14 @@
 """Protocols of configuration spaces: the domain, the cost of a motion, and tests of which configurations are free."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Bool, Float, Int8
 
 from plr_jax._arrays import as_booleans, as_finite, as_points, set_fields, shortened
+from plr_jax._arrays import batches as batches
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 
@@ -55,9 +54,9 @@ class MotionCost:
         # 2. Check that each axis occurs once, and that weights are positive.
         if not listed or sorted(listed) != list(range(len(listed))):
             raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
-        weight_of = partial(as_finite, "The weight of a block", positive=True)
-        checked = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
-        set_fields(self, blocks=checked)
+        weights = [as_finite("The weight of a block", weight, positive=True) for _, weight in pairs]
+        blocks = [tuple(map(int, axes)) for axes, _ in pairs]
+        set_fields(self, blocks=tuple(zip(blocks, weights, strict=True)))
 
     @property
     def dof(self) -> int:
@@ -166,11 +165,6 @@ class SeesBoxes(Protocol):
         to ``q[i]`` is free.
         """
         ...
-
-
-def batches(rows: Int[np.ndarray, " n"], size: int) -> Iterator[Int[np.ndarray, " _"]]:
-    """Yield consecutive slices of ``rows``, with at most ``size`` entries each; nothing if ``rows`` is empty."""
-    return (rows[begin : begin + size] for begin in range(0, len(rows), size))
 
 
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:

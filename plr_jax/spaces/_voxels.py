@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Bool, Int8
 from scipy import ndimage
 
-from plr_jax._arrays import as_finite, as_points, set_fields
+from plr_jax._arrays import as_finite, as_points, batches, set_fields
 from plr_jax._types import ArrayLike
-from plr_jax.collision.voxels import ball_passes, blocked_within, point_passes
+from plr_jax.collision.voxels import Booleans, Traversal, ball_passes, blocked_within
 from plr_jax.geometry.boundary import rounding_of
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import VoxelGrid
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
-Booleans = Bool[np.ndarray, "n"]
+_MOTIONS = 1 << 14  # motions handled together, which bounds the memory
 _LEAST_RADIUS = 1e3  # smallest radius of a ball, in tolerances
 
 
@@ -126,11 +126,12 @@ class VoxelSpace:
         """
         q0, q1 = as_motions(q0, q1, self.grid.dim)
         free = np.isfinite(q0 + q1).all(axis=1)
-        ends = q0[free].T, q1[free].T
-        if self.radius == 0:
-            free[free] = point_passes(self.grid, *ends)
-        else:
-            free[free] = ball_passes(self.grid, *ends, self.radius - self.tolerance / 2)
+        for part in batches(np.flatnonzero(free), _MOTIONS):
+            ends = q0[part].T, q1[part].T
+            if self.radius == 0:
+                free[part] = Traversal(self.grid, *ends).passes()
+            else:
+                free[part] = ball_passes(self.grid, *ends, self.radius - self.tolerance / 2)
         return free
 
     def separated(self, q: ArrayLike) -> "tuple[VoxelSpace, VoxelSpace | None]":

@@ -132,7 +132,10 @@ def grid_distance(
             cell corners inside the grid, ``(h - 1) * (w - 1)``, if this is at most 256 (17 x 17 cells), else half
             of this number.
     """
-    mask = _as_mask(free)
+    mask = as_array(free, "free must be an array of booleans (h, w)")
+    if mask.dtype != bool or mask.ndim != 2 or not mask.size:
+        expected = "free must be booleans of shape (h, w), rows along y, with at least one cell"
+        raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
     h, w = mask.shape
     if not isinstance(moves, str | int) or moves not in ("any-angle", 4, 8):
         raise ValueError(f'moves must be "any-angle", 4 or 8, got {shortened(moves)}.')
@@ -152,10 +155,8 @@ def grid_distance(
         default = num_inner if num_inner <= MAX_LATTICE else (num_inner + 1) // 2
         num_corners = max(1, min(num_inner, max_corners or default))
         if num_corners > MOST_CORNERS:
-            raise ValueError(
-                f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {num_corners:,} on {h} x {w} cells: "
-                "pass max_corners, or use moves=8."
-            )
+            got = f"{num_corners:,} on {h} x {w} cells: pass max_corners, or use moves=8"
+            raise ValueError(f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {got}.")
     elif moves == 8 and h * w > MOST_CELLS:
         raise ValueError(f"free must have at most {MOST_CELLS:,} cells for moves=8, got {h} x {w}: use moves=4.")
     return _make(mask, goal, moves, num_corners)
@@ -186,21 +187,11 @@ def _cells(field: GridDistance) -> Float[Array, "h w"]:
     return jnp.where(field.has_no_answers, jnp.nan, field.paths.cells()[:h, :w])
 
 
-def _as_mask(free: ArrayLike) -> Bool[Array | np.ndarray, "h w"]:
-    mask = as_array(free, "free must be an array of booleans (h, w)")
-    if mask.dtype != bool or mask.ndim != 2 or not mask.size:
-        expected = "free must be booleans of shape (h, w), rows along y, with at least one cell"
-        raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
-    return mask
-
-
 def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "*batch 2"]]:
     """Convert points, given by name, to floats of at least 32 bits; warn once if some are integers."""
     names = [name for name, x in points.items() if jnp.issubdtype(x.dtype, jnp.integer)]
     if names:
-        message = (
-            f"Integer points are corners of cells, got integers for {' and '.join(names)}: add 0.5 to (column, row) "
-            "for the center of a cell, or pass floats if you mean a corner."
-        )
+        advice = "add 0.5 to (column, row) for the center of a cell, or pass floats if you mean a corner"
+        message = f"Integer points are corners of cells, got integers for {' and '.join(names)}: {advice}."
         warnings.warn(message, stacklevel=3)  # the line that calls grid_distance or the field
     return [as_floats(x) for x in points.values()]

@@ -1,12 +1,10 @@
 """Distances among polygons that JAX may trace: the public function :func:`polygon_distance`."""
 
-from functools import reduce
 from typing import overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer
@@ -17,6 +15,7 @@ from plr_jax.traced.corner_paths import CornerPairs, CornerPaths
 from plr_jax.traced.fields import FAR, as_array, as_floats, as_points, distance, replace_nonfinite, require_one_map
 from plr_jax.traced.polygons import PolygonCorners
 
+Bounds = Box | ArrayLike | None
 MOST_VERTICES = 256  # tests of sight grow with the cube of the number of vertices
 
 
@@ -69,15 +68,11 @@ class PolygonDistances:
 
 
 @overload
-def polygon_distance(
-    polygons: ArrayLike, goal: None, *, bounds: Box | ArrayLike | None = None
-) -> PolygonDistances: ...
+def polygon_distance(polygons: ArrayLike, goal: None, *, bounds: Bounds = None) -> PolygonDistances: ...
 @overload
+def polygon_distance(polygons: ArrayLike, goal: ArrayLike, *, bounds: Bounds = None) -> PolygonDistance: ...
 def polygon_distance(
-    polygons: ArrayLike, goal: ArrayLike, *, bounds: Box | ArrayLike | None = None
-) -> PolygonDistance: ...
-def polygon_distance(
-    polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Box | ArrayLike | None = None
+    polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bounds = None
 ) -> PolygonDistance | PolygonDistances:
     """Return a function that measures shortest paths among polygons whose vertices may be traced, as inside ``jit``.
 
@@ -112,10 +107,9 @@ def polygon_distance(
     if polygons.ndim != 3:
         raise ValueError(f"polygons must have shape (m, k, 2), got {polygons.shape}: use jax.vmap for several maps.")
     if (count := polygons.shape[0] * polygons.shape[1]) > MOST_VERTICES:
-        raise ValueError(
-            f"polygon_distance takes at most {MOST_VERTICES} vertices, got {count:,} with padding, in an array of "
-            f"shape {polygons.shape}: use VisibilityGraph, whose vertex_gradient has the derivatives."
-        )
+        got = f"{count:,} with padding, in an array of shape {polygons.shape}"
+        advice = "use VisibilityGraph, whose vertex_gradient has the derivatives"
+        raise ValueError(f"polygon_distance takes at most {MOST_VERTICES} vertices, got {got}: {advice}.")
     if goal is not None:
         goal = as_floats(as_points("goal", goal))
         if goal.ndim > 2 or not goal.size:
@@ -155,7 +149,7 @@ def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -
 def _make(
     polygons: Float[Array, "m k 2"], goals: Float[Array, "g 2"] | None, bounds: Float[Array, "2 2"]
 ) -> PolygonDistance | PolygonDistances:
-    dtype = reduce(jnp.promote_types, [each.dtype for each in (polygons, goals, bounds) if each is not None])
+    dtype = jnp.result_type(*(each.dtype for each in (polygons, goals, bounds) if each is not None))
     # 1. Mark padding by rows of NaN. A map without polygons gets one of padding alone.
     polygons = jnp.full((1, 1, 2), jnp.nan, dtype) if polygons.size == 0 else polygons.astype(dtype)
     is_finite = jnp.isfinite(polygons).all(axis=2, keepdims=True)
@@ -163,7 +157,7 @@ def _make(
     # 2. Move the origin to the middle of the map, around which floats are most precise.
     lo = jnp.where(is_finite, polygons, jnp.inf).min(axis=(0, 1))
     hi = jnp.where(is_finite, polygons, -jnp.inf).max(axis=(0, 1))
-    origin = lax.stop_gradient(jnp.where(is_finite.any(), (lo + hi) / 2, 0))
+    origin = jax.lax.stop_gradient(jnp.where(is_finite.any(), (lo + hi) / 2, 0))
     polygons = jnp.where(is_finite, polygons - origin[None, None], jnp.nan)
     corners = PolygonCorners.of_polygons(polygons, bounds.astype(dtype) - origin[None])
     if goals is None:

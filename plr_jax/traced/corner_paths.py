@@ -17,7 +17,6 @@ from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from plr_jax._compiled import pytree
@@ -42,7 +41,7 @@ def bellman_ford(lengths: Float[Array, "corners corners"], straight: Lengths) ->
         new = jnp.minimum(old, jnp.min(lengths + old[None], axis=-1))
         return new, jnp.any(new < old)
 
-    return lax.while_loop(lambda state: state[1], relaxed, (straight, jnp.array(True)))[0]
+    return jax.lax.while_loop(lambda state: state[1], relaxed, (straight, jnp.array(True)))[0]
 
 
 @bellman_ford.defjvp
@@ -105,8 +104,7 @@ class CornerPaths:
         to_corners = length_if_seen(through, x[:, None], self.corners.points(x.dtype)[None])
         first = jnp.append(to_goals, to_corners, axis=1)
         onward = jnp.append(jnp.zeros(len(goals), x.dtype), self.distances.astype(x.dtype))
-        value = shortest(first, jnp.broadcast_to(onward, first.shape))
-        return jnp.where(is_free, value, jnp.inf)
+        return jnp.where(is_free, shortest(first, jnp.broadcast_to(onward, first.shape)), jnp.inf)
 
 
 @pytree
@@ -138,7 +136,7 @@ def _paths_between(lengths: Float[Array, "corners corners"]) -> Float[Array, "co
     """Return the distances between all corners, given the lengths of segments between corners."""
     # Floyd-Warshall algorithm
     direct = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
-    return lax.fori_loop(0, len(direct), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), direct)
+    return jax.lax.fori_loop(0, len(direct), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), direct)
 
 
 @_paths_between.defjvp
@@ -170,7 +168,7 @@ def _(primals, tangents):
     change = tangents[0] + tangents[1]
     least = shortest(first, onward)  # not jnp.min, whose own gradient would count in second derivatives
     minimizer = _longest_of_equal(first, onward, least)
-    is_minimizer = lax.broadcasted_iota(int, change.shape, change.ndim - 1) == minimizer[..., None]
+    is_minimizer = jax.lax.broadcasted_iota(int, change.shape, change.ndim - 1) == minimizer[..., None]
     return least, jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)
 
 

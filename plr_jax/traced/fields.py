@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from functools import reduce
-from operator import or_
 from typing import Any
 
 import jax
@@ -14,7 +13,6 @@ from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 
 FAR = 1e18  # outside every map; its square does not overflow
-Points = Float[Array, "*batch 2"]
 
 
 @jax.jit
@@ -24,12 +22,12 @@ def distance(field: Any, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*b
     It is NaN where a coordinate is NaN, and everywhere if the field has no answers.
     """
     ends = jnp.broadcast_arrays(*points)
-    is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in ends]) | field.has_no_answers
+    is_nan = reduce(jnp.logical_or, [jnp.isnan(x).any(axis=-1) for x in ends]) | field.has_no_answers
     value = field.paths.distance(*(replace_nonfinite(x).reshape(-1, 2) for x in ends))
     return jnp.where(is_nan, jnp.nan, value.reshape(is_nan.shape))
 
 
-def replace_nonfinite(x: Points) -> Points:
+def replace_nonfinite(x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
     return jnp.where(jnp.isfinite(x), x, -FAR)
 
 

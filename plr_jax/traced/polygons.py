@@ -14,10 +14,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._compiled import pytree
-from plr_jax.traced.corner_paths import Broadcast, length_if_seen
+from plr_jax.traced.corner_paths import Broadcast, Points, length_if_seen
 
-Points = Float[Array, "n 2"]
-Edges = Float[Array, "edges 2"]
 # In machine epsilons of the largest coordinate. In tests of sight, rounding moves segments by up to about 4 epsilons.
 _MARGIN = 8  # the margin: twice as much
 _WALL = 4  # a point this close to a wall counts as on the wall
@@ -84,8 +82,7 @@ class PolygonCorners:
     def placed(self, x: Points) -> tuple[Points, Bool[Array, " n"]]:
         """Move points near walls to the margin; return the points, and whether each given point is free."""
         x = lax.stop_gradient(x)
-        is_first = jnp.arange(_ROUNDS) == 0
-        end, distances = lax.scan(self._moved_from_wall, x, is_first)
+        end, distances = lax.scan(self._moved_from_wall, x, jnp.arange(_ROUNDS) == 0)
         # A point on a wall is free if its moved point is: the wall may be a side of two polygons that touch.
         is_blocked = self._are_inside(end)
         is_free = ~jnp.where(distances[0] <= self.margin * (_WALL / _MARGIN), is_blocked, self._are_inside(x))
@@ -124,7 +121,7 @@ class PolygonCorners:
     def _ends(self) -> Float[Array, "corners 2"]:
         return lax.stop_gradient(self.vertices + self.offsets).reshape(-1, 2)
 
-    def _edges(self, dtype: Any) -> tuple[Edges, Edges]:
+    def _edges(self, dtype: Any) -> tuple[Points, Points]:
         vertices = lax.stop_gradient(self.vertices).astype(dtype)
         return vertices.reshape(-1, 2), jnp.roll(vertices, -1, axis=1).reshape(-1, 2)
 

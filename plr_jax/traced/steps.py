@@ -1,13 +1,11 @@
 """Distances on a grid that JAX may trace, along steps from each cell to its 4 or 8 neighbors."""
 
 from functools import reduce
-from operator import or_
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
@@ -33,8 +31,7 @@ def pack(cells: Mask) -> Words:
 
 def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
     """Return the cells of a packed grid of ``w`` columns, as integers 0 and 1: the inverse of :func:`pack`."""
-    bits = (words[:, :, None] >> _PLACES) & jnp.uint32(1)
-    return bits.reshape(len(words), -1)[:, :w]
+    return ((words[:, :, None] >> _PLACES) & jnp.uint32(1)).reshape(len(words), -1)[:, :w]
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
@@ -84,7 +81,7 @@ class Steps:
     @classmethod
     def to_goal(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
         cells, is_inside = containing_cells(free.shape, goal)
-        start = reduce(or_, (single_cell(free.shape, *cell) for cell in zip(*cells, strict=True)))
+        start = reduce(jnp.bitwise_or, (single_cell(free.shape, *cell) for cell in zip(*cells, strict=True)))
         return cls(distances(free, jnp.where(is_inside, start, jnp.uint32(0)), moves))
 
     def cells(self) -> Distances:
@@ -164,7 +161,7 @@ def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[
 
     none = jnp.zeros_like(start)
     first = jnp.uint32(0), start, none, none, jnp.zeros((len(powers), *start.shape), jnp.uint32), jnp.array(True)
-    _, reached, ones_plane, twos_plane, planes, _ = lax.while_loop(lambda state: state[-1], four_levels, first)
+    _, reached, ones_plane, twos_plane, planes, _ = jax.lax.while_loop(lambda state: state[-1], four_levels, first)
     return reached, jnp.concatenate([ones_plane[None], twos_plane[None], planes])
 
 
@@ -215,5 +212,5 @@ def _octile_distances(free: Mask, start: Mask) -> Distances:
         return new, jnp.any(new != old)
 
     first: Int32[Array, "h_and_2 w_and_2"] = jnp.where(jnp.pad(start, 1), 0, _FAR).astype(jnp.int32)
-    units = at(lax.while_loop(lambda state: state[1], relaxed, (first, jnp.array(True)))[0], 0, 0)
+    units = at(jax.lax.while_loop(lambda state: state[1], relaxed, (first, jnp.array(True)))[0], 0, 0)
     return jnp.where(units < _FAR, units.astype(jnp.float32) / _STRAIGHT, jnp.inf)

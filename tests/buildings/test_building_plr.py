@@ -4,6 +4,7 @@ import ctypes
 import pickle
 import shutil
 import subprocess
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,6 +19,7 @@ BUILDING = two_floors()
 ORACLE = BUILDING.oracle(*GOAL)
 FLOOR, X = samples(BUILDING, 300)
 PLR = ORACLE.construct(max_bytes=2000, certified=True)
+PROVEN = PLR.max_error or np.inf
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +31,7 @@ def far() -> BuildingPLR:
 def test_distances_are_within_the_proven_bounds():
     exact, (lower, upper) = ORACLE(FLOOR, X), map(np.asarray, PLR.bounds(FLOOR, X))
     assert (lower <= exact).all() and (exact <= upper).all()
-    assert np.abs(np.asarray(PLR(FLOOR, X)) - exact).max() <= PLR.max_error < 1
+    assert np.abs(np.asarray(PLR(FLOOR, X)) - exact).max() <= PROVEN < 1
     assert np.mean(np.asarray(PLR.which(FLOOR, X)) == ORACLE.which(FLOOR, X)) > 0.97
 
 
@@ -38,11 +40,12 @@ def test_answers_are_equal_inside_jit_from_a_file_and_in_numpy(tmp_path):
     assert path.stat().st_size == PLR.num_bytes
     x = X.astype(np.float32)
     expected = np.asarray(PLR(FLOOR, x))
-    for plr in (load(path), load_numpy(path), PLR.numpy(), pickle.loads(pickle.dumps(load_numpy(path)))):
+    readers: list[Any] = [load(path), load_numpy(path), PLR.numpy(), pickle.loads(pickle.dumps(load_numpy(path)))]
+    for plr in readers:
         np.testing.assert_array_equal(plr(FLOOR, x), expected)
         np.testing.assert_array_equal(plr.bounds(FLOOR, x), PLR.bounds(FLOOR, x))
         np.testing.assert_array_equal(plr.which(FLOOR, x), PLR.which(FLOOR, x))
-    compiled = jax.jit(lambda plr, floor, x: (plr(floor, x), plr.which(floor, x)))
+    compiled: Any = jax.jit(lambda plr, floor, x: (plr(floor, x), plr.which(floor, x)))
     for plr in (PLR, load(path)):
         np.testing.assert_array_equal(compiled(plr, FLOOR, x)[0], expected)
         np.testing.assert_array_equal(compiled(plr, FLOOR, x)[1], PLR.which(FLOOR, x))
@@ -76,7 +79,7 @@ def test_routes_lead_to_the_goal_over_links(given):
     for floor, x, route, length in zip(FLOOR.tolist(), X, routes, exact, strict=True):
         assert route.legs[0][0] == floor and np.allclose(route.legs[0][1][0], x, atol=1e-9)
         assert route.legs[-1][0] == GOAL[0] and np.allclose(route.legs[-1][1][-1], GOAL[1], atol=1e-6)
-        assert length - 1e-5 <= route.length <= length + 2 * PLR.max_error or given is not None
+        assert length - 1e-5 <= route.length <= length + 2 * PROVEN or given is not None
         for (before, points), (after, more), link in zip(route.legs, route.legs[1:], route.links, strict=False):
             ends = [(before, *points[-1].round(5)), (after, *more[0].round(5))]
             link = BUILDING.links[link]
@@ -112,6 +115,15 @@ def test_c_equals_numpy(is_compact, is_far, far, tmp_path):
     )
     np.testing.assert_array_equal(y[:-2], plr.numpy()(FLOOR[:-2], x[:-2]))
     assert np.isnan(y[-2:]).all()
+
+
+def test_c_compiles_strictly_if_bounds_are_no_floats(tmp_path):
+    if shutil.which("gcc") is None:
+        pytest.skip("C is tried where gcc is")
+    building = two_floors((0.1, 0.7), (-5.3, 3.9))
+    plr = building.oracle(0, (10.1, 1.7)).construct(max_bytes=1000)
+    (tmp_path / "home.c").write_text(plr.c_header("home"))
+    subprocess.run(["gcc", *STRICT, "-Wno-unused-function", "-fsyntax-only", "home.c"], cwd=tmp_path, check=True)
 
 
 def test_damaged_files_are_refused(tmp_path):

@@ -8,7 +8,7 @@ from building_scenes import two_floors
 from cli_helpers import done, mistake, run
 from PIL import Image
 
-from plr_jax import VisibilityGraph, construct, load, save, scenes
+from plr_jax import VisibilityGraph, construct, construct_pairs, load, save, scenes
 from plr_jax.geometry.cell_sight import CellSources
 
 MAZE = scenes.maze().workspace
@@ -170,3 +170,6 @@ def test_buildings_are_built_and_queried_by_floor(path, tmp_path):
     assert "home_distance(int floor" in (tmp_path / "home.h").read_text()
     assert "3 numbers FLOOR,X,Y" in mistake("build", file, "-o", path, "--goal", "10,1")
     assert "read without options" in mistake("build", file, "-o", path, "--goal", "0,10,1", "--radius", 1)
+    assert "becomes a C header" in mistake("export", path, "--js", "-o", tmp_path / "home.mjs")
+    save(construct_pairs(building), pairs := tmp_path / "home.pairs")
+    assert "build a PLR of one goal" in mistake("export", pairs, "--goal", "1,1", "-o", tmp_path / "home.h")

@@ -161,5 +161,5 @@ def test_robots_out_of_reach_are_apart(i, j):
     a = a0[:, :, None, None, None], a1[:, None, :, None, None]
     b = b0[:, None, None, :, None], b1[:, None, None, None]
     meet = np.flatnonzero(~motions_apart(CROWD[i], *a, CROWD[j], *b, TOLERANCE).all(axis=(1, 2, 3, 4)))
-    near = within_reach(CROWD[i], circles(a0, a1), CROWD[j], circles(b0, b1))
+    near = np.flatnonzero(within_reach(CROWD[i], circles(a0, a1), CROWD[j], circles(b0, b1)))
     assert np.isin(meet, near).all() and 0 < len(meet) <= len(near) < 200

@@ -4,8 +4,11 @@ import pickle
 
 import numpy as np
 import pytest
+from building_checks import are_broken, are_wrong
+from building_helpers import BruteForce, points_of, random_floor, random_place
+from piece_helpers import box
 
-from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, construct
+from plr_jax import Box, Building, DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, construct
 from plr_jax.oracles import Euclidean, NearestGoal, VisibilityGraph, exact_lower_bound, robot_distance_fns
 
 # A room of two, and one without a goal.
@@ -54,6 +57,54 @@ def test_visibility_graphs_of_one_workspace_have_cells():
         assert construct(nearest, DOMAIN, max_leaves=2).num_leaves <= 2
         with pytest.raises(ValueError, match=r"answers for whole cells.* got a NearestGoal"):
             construct(nearest, DOMAIN, max_leaves=2, certified=True)
+
+
+def test_offsets_are_the_costs_of_goals():
+    nearest = NearestGoal(FNS, offsets=[0, 2.5, 100])
+    each = np.stack([fn(X) + offset for fn, offset in zip(FNS, (0, 2.5, 100), strict=True)])
+    np.testing.assert_allclose(nearest(X), each.min(axis=0))
+    np.testing.assert_array_equal(nearest.which(X), np.where(np.isinf(each).all(axis=0), -1, each.argmin(axis=0)))
+    np.testing.assert_allclose(nearest([DOCKS[2]]), [np.hypot(2.5, 2.5)], err_msg="another goal is cheaper")
+    plr = construct(nearest, DOMAIN, leaf="cone", max_bytes=500, certified=True)
+    has_path = np.isfinite(nearest(X))
+    assert not are_broken(plr.bounds(X[has_path]), nearest(X[has_path])).any()
+    assert set(np.asarray(plr.which(X)[has_path]).tolist()) == {0, 1}, "nobody uses a dock that costs 100"
+
+
+@pytest.mark.parametrize("offsets", [[1.0], [-1.0, 0, 0], [np.inf, 0, 0], [np.nan, 0, 0], "free"])
+@pytest.mark.usefixtures("unchecked_types")
+def test_invalid_offsets(offsets):
+    with pytest.raises(ValueError, match="offsets must be 3 finite numbers of at least 0, one per goal"):
+        NearestGoal(FNS, offsets=offsets)
+
+
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(3, 60))])
+@pytest.mark.filterwarnings("ignore:The goal cannot be reached:UserWarning")
+def test_offsets_equal_an_independent_search(seed):
+    rng = np.random.default_rng(seed)
+    floor = random_floor(rng, squeeze=bool(rng.random() < 0.3), origins=[0])
+    building, width = Building([floor]), floor.bounds.width.max()
+    goals = [random_place(rng, [floor], []) for _ in range(rng.integers(1, 7))]
+    offsets = np.where(rng.random(len(goals)) < 0.3, 0.0, width * rng.uniform(0, 0.5, len(goals)))
+    search, first = BruteForce(building), VisibilityGraph(floor, goals[0][1])
+    nearest = NearestGoal([first, *(first.with_goal(goal) for _, goal in goals[1:])], offsets=offsets)
+    x = points_of(building, 0, seed, 100)
+    truth = search.field(goals, offsets)(0, x)
+    assert not are_wrong(nearest(x), truth, search.allowed).any()
+    plr = construct(nearest, floor.bounds, leaf="cone", max_bytes=1000, certified=True)
+    has_path = np.isfinite(truth)
+    assert not are_broken(plr.numpy().bounds(x[has_path]), truth[has_path]).any()
+
+
+def test_paths_to_a_goal_do_not_pass_another_goal_where_obstacles_touch():
+    """The first goal is at the contact and costs 50, so that from below the cheap goal above is out of reach."""
+    touching = Workspace(((0, 0), (10, 10)), [box(0, 5, 5, 10), box(5, 0, 10, 5)])
+    first = VisibilityGraph(touching, (5, 5))
+    nearest = NearestGoal([first, first.with_goal((9, 9))], offsets=[50, 0])
+    plr = construct(nearest, touching.bounds, leaf="cone", max_bytes=500, certified=True)
+    x = np.array([(1.0, 1.0), (9.0, 8.0), (4.0, 1.0)])
+    assert nearest(x) == pytest.approx([50 + np.hypot(4, 4), 1, 50 + np.hypot(1, 4)])
+    assert not are_broken(plr.bounds(x), nearest(x)).any()
 
 
 CORNER = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])

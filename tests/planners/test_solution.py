@@ -19,7 +19,7 @@ PROBLEM = Problem(ROOM, [DiscRobot(0.5), RectangleRobot(2, 1)], [(1, 1, 7), (5, 
 TURN = 2 * np.pi - 6  # from heading 3 to -3 by the shorter way
 PATH = np.array([[(1, 1, 7), (5, 5, 3.0)], [(1, 5, 7), (5, 5, -3)], [(1, 5, 7), (5, 5, -3)], [(4, 5, 7), (5, 8, -3)]])
 SOME = Stats(9, 8, 7, 6, {"a": 0.1}, ((0.25, 99.5), (0.5, 1 / 3)))
-SOLUTION = make_solution(PROBLEM, PATH, 8.5, Status.SOLVED, SOME, PATH, 1.25)
+SOLUTION = replace(make_solution(PROBLEM, PATH, 8.5, Status.SOLVED, SOME, PATH), motions_factor=1.25)
 NONE = make_solution(PROBLEM, None, 8.0, Status.EXHAUSTED, Stats(1), PROBLEM.starts[None])
 COUNTS = ("num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes")
 
@@ -33,7 +33,8 @@ def random_solution(seed):
     stats = Stats(**counts, history=((*amounts[:2],), (*amounts[2:4],)), seconds={"": amounts[4], 'é"\n\0': 0.1})
     bounds = amounts[5], rng.choice([amounts[6], np.inf])
     status, path = list(Status)[seed % len(Status)], None if seed % 4 == 3 else path
-    return make_solution(PROBLEM, path, bounds[0], status, stats, PROBLEM.starts[None], float(bounds[1]))
+    solution = make_solution(PROBLEM, path, bounds[0], status, stats, PROBLEM.starts[None])
+    return solution if path is None else replace(solution, motions_factor=float(bounds[1]))
 
 
 def test_solution_computes_costs_from_path():

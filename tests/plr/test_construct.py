@@ -246,7 +246,7 @@ def test_best_leaves_have_the_smallest_error(limit):
     assert construct(ORACLE, UNIT, leaf="best", **limit).to_bytes() == best.to_bytes()
 
 
-@pytest.mark.parametrize("step", ["leaves.continuous.grow", "_construct._sampled_error"])
+@pytest.mark.parametrize("step", ["leaves.continuous.grow", "_construct._error_of"])
 def test_interrupt_keeps_the_best_model_so_far(step, monkeypatch):
     """While a model is grown, or while models are compared."""
 

@@ -144,7 +144,7 @@ def test_parts_of_dead_workers_are_built_again_and_interrupts_keep_finished_ones
 @pytest.mark.parametrize(
     ("functions", "options", "message"),
     [
-        (lambda oracles: [], {}, "at least one distance function, got none"),
+        (lambda oracles: [], {}, r"must be a list of distance functions, got \[\]"),
         (lambda oracles: 3, {}, "must be a list of distance functions"),
         (lambda oracles: [oracles[0], 5], {}, "got 5 at index 1"),
         (list, {"executor": 4}, "executor must be a concurrent.futures.Executor or None, got 4"),

@@ -11,7 +11,7 @@ from plr_helpers import UNIT, cone, points, random_partition, three_leaves, wall
 
 from plr_jax import BuildOptions
 from plr_jax.plr import construct
-from plr_jax.plr.finite_elements import basis_values, coefficient_matrix, monomials, nodal_space
+from plr_jax.plr.finite_elements import basis_monomials, basis_values, coefficient_matrix, nodal_space
 from plr_jax.plr.leaf_faces import face_points, shared_faces
 from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values
 from plr_jax.plr.sampling import Sampler, sample_pattern
@@ -31,7 +31,7 @@ def evaluate(order, cells, numbers, leaf, x, derivative=None):
             factor *= power * along ** np.maximum(power - 1, 0) * np.ldexp(1.0, cells.depth[leaf, axis])[:, None]
         else:
             factor *= along**power
-    return np.sum(factor * (numbers.reshape(len(cells), -1)[leaf] @ monomials(order, cells.dim)), axis=1)
+    return np.sum(factor * (numbers.reshape(len(cells), -1)[leaf] @ basis_monomials(order, cells.dim)), axis=1)
 
 
 @pytest.mark.parametrize("order", [0, 1])

@@ -11,12 +11,15 @@ from portable_helpers import case, full, is_far
 
 from plr_jax import PLR, Box, Euclidean, Workspace, construct, construct_pairs, evaluate, from_bytes, stack
 
-KINDS = ("maze of cones", "maze of gradients", "around", "around twice", "folded car", "far planes", "far folded car")
-COMPILED = pytest.mark.parametrize("name", [KINDS[0], *full(*KINDS[1:])])
+KINDS = ("maze of cones", "maze of gradients", "around", "around twice", "folded car", "far planes")
+BOTH = full("far folded car")  # mirrors and points in 64 bits, which quick tests have one by one
+COMPILED = pytest.mark.parametrize("name", [KINDS[0], *full(*KINDS[1:]), *BOTH])
+# Quickly: cones with a proof; mirrors and a period; points in 64 bits. Tests of stacks have all leaf models.
+STACKED = ["maze of cones", "folded car", "far planes", *full("maze of gradients", "around", "around twice"), *BOTH]
 OUTSIDE = ("inf", "clamp", "nan")
 
 
-@pytest.fixture(scope="module", params=KINDS)
+@pytest.fixture(scope="module", params=[*KINDS, *BOTH])
 def plr(request):
     return case(request.param)
 
@@ -86,7 +89,12 @@ def test_gradients_equal_finite_differences(name):
         assert is_near.mean() > 0.97  # in 32 bits, some points are in another leaf
 
 
-TWICE = [KINDS[0], *full(*KINDS[1:], "cones in space", "maze of values", "straight bound", "estimate of planes")]
+TWICE = [
+    KINDS[0],
+    *full(*KINDS[1:]),
+    *BOTH,
+    *full("cones in space", "maze of values", "straight bound", "estimate of planes"),
+]
 
 
 @pytest.mark.parametrize("name", TWICE)
@@ -191,6 +199,7 @@ def test_64_bit_mode_answers_in_64_bits(plr):
     assert plr(x).dtype == np.float32  # what was decided for one mode of JAX is not kept for the other
 
 
+@pytest.mark.parametrize("plr", STACKED, indirect=True)
 def test_stacks_answer_as_their_plrs(plr):
     other = construct(Euclidean(plr.domain.lo), Box(plr.domain.lo, plr.domain.hi), max_leaves=20)
     stacked, x = stack([plr, other]), around(plr) if is_far(plr) else jnp.asarray(around(plr), jnp.float32)

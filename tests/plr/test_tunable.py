@@ -18,8 +18,8 @@ from plr_jax import Box, construct, from_bytes
 from plr_jax.plr.leaf_faces import face_points, shared_faces
 from plr_jax.plr.tree import tree_of
 
-QUICK = "around twice", "far from the origin"
-REST = [name.replace("_", " ") for name in vector_names() if "cone" not in name and name != "around_twice"]
+QUICK = "around", "far from the origin"
+REST = [name.replace("_", " ") for name in vector_names() if "cone" not in name and name != "around"]
 FINE = 10**6  # bytes, enough for the finest step
 
 

@@ -40,7 +40,7 @@ def test_floors_may_be_files_beside_the_building(tmp_path):
         ({"floors": []}, "needs one or more floors"),
         ({"floors": [{"bounds": 1}]}, "floor 0: expected"),
         ({"links": [{"start": [0, [1, 1]]}]}, "expected links with start, end, cost"),
-        ({"links": [{"start": [0, [1, 1]], "end": [1, [1, 1, 1]], "cost": 1}]}, "The end of the link from"),
+        ({"links": [{"start": [0, [1, 1]], "end": [1, [1, 1, 1]], "cost": 1}]}, "the end of the link from"),
         ({"links": [{"start": [0, [1, 1]], "end": [1, [1, 4]], "cost": -1}]}, "The cost of the link from"),
         ({"links": [{"start": [0, [1, 1]], "end": [2, [1, 4]], "cost": 1}]}, "The end of link 0 must be on a floor"),
         ({"links": [{"start": [0, [8.1, 1]], "end": [1, [1, 4]], "cost": 1}]}, "The start of link 0 must be in free"),

@@ -3,20 +3,16 @@
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
-from plr_jax.plr.leaves.cone.codec import ConeFiles as ConeFiles
-from plr_jax.plr.leaves.cone.codec import read_goals as read_goals
-from plr_jax.plr.leaves.cone.codec import write_goals as write_goals
-from plr_jax.plr.leaves.cone.family import FamilyTask as FamilyTask
-from plr_jax.plr.leaves.cone.family import family_task as family_task
-from plr_jax.plr.leaves.cone.model import Cone as Cone
-from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
-from plr_jax.plr.leaves.cone.model import goal_of_leaves as goal_of_leaves
-from plr_jax.plr.leaves.cone.model import require_goals as require_goals
-from plr_jax.plr.leaves.cone.worst_first import WorstFirst as WorstFirst
-from plr_jax.plr.leaves.continuous import Continuous
-from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
-from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition
-from plr_jax.plr.leaves.plane import Plane as Plane
+from plr_jax.plr.leaves.cone.codec import ConeFiles, read_goals, write_goals
+from plr_jax.plr.leaves.cone.family import FamilyTask, family_task
+from plr_jax.plr.leaves.cone.model import Cone, as_sourced, goal_of_leaves, require_goals
+from plr_jax.plr.leaves.cone.worst_first import WorstFirst
+from plr_jax.plr.leaves.continuous import Continuous, StoredValues, TiedPartition
+from plr_jax.plr.leaves.plane import Plane
+
+__all__ = ["Cone", "ConeFiles", "FamilyTask", "Plane", "StoredValues", "TiedPartition", "WorstFirst", "as_sourced"]
+__all__ += ["code_of_leaf", "family_task", "goal_of_leaves", "leaf_model", "leaf_names", "leaf_of_code", "read_goals"]
+__all__ += ["require_goals", "write_goals"]
 
 # The index of a model is its code in files, so new models go to the end.
 _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())
@@ -36,8 +32,7 @@ def leaf_model(leaf: LeafModel | str) -> LeafModel:
         return models[leaf]
     if isinstance(leaf, LeafModel) and leaf.name in models:  # files store the name's code
         return leaf
-    names = ", ".join(map(repr, models))
-    expected = f"a leaf model or its name, with construct also 'best', one of {names}"
+    expected = f"a leaf model or its name, with construct also 'best', one of {', '.join(map(repr, models))}"
     raise ValueError(f"leaf must be {expected}, got {shortened(leaf)}.")
 
 

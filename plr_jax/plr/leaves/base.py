@@ -289,15 +289,9 @@ def check_limits(
     is_deep = model.has_deep_trees or proof in (Proof.CLASSES, Proof.LEAVES)
     if tolerance is None:
         check_memory(2.0 * min(float(most_leaves), 2.0**max_depth))
-    return Limits(
-        max_depth=max_depth,
-        max_axis_depth=max_axis_depth(dim, table_class, model.least_bytes, is_deep),
-        max_leaves=most_leaves,
-        max_bytes=np.inf if max_bytes is None else float(max_bytes),
-        tolerance=0.0 if tolerance is None else float(tolerance),
-        proof=proof,
-        frame_bytes=frame_bytes,
-    )
+    axis_depth = max_axis_depth(dim, table_class, model.least_bytes, is_deep)
+    most_bytes = np.inf if max_bytes is None else float(max_bytes)
+    return Limits(max_depth, axis_depth, most_leaves, most_bytes, float(tolerance or 0), proof, frame_bytes)
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, " dim"]:

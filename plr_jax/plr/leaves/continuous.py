@@ -17,10 +17,9 @@ from plr_jax._arrays import hash64, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.finite_elements import NodalSpace, basis_values, coefficient_matrix, nodal_space
-from plr_jax.plr.finite_elements import monomials as monomials_of_order
+from plr_jax.plr.finite_elements import NodalSpace, basis_monomials, basis_values, coefficient_matrix, nodal_space
 from plr_jax.plr.frame import LARGEST
-from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
+from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, urgent_first
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.leaves.base import MAX_TIED_DIM, UNIT, Coefficients, PolynomialLeafModel, Rules, read_step
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
@@ -272,7 +271,7 @@ class _Rounds:
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
-        is_worth_it = (error > least_priority(fit, limits)) & fit.can_split
+        is_worth_it = (error > np.maximum(limits.tolerance, fit.noise)) & fit.can_split
         priority = np.where(is_worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(is_worth_it)]
         # 4. Choose axes of the first leaves; if depth limits exclude some of them, of the leaves that follow.
@@ -443,4 +442,4 @@ class Continuous(PolynomialLeafModel):
         return coefficients.reshape(len(values), -1)
 
     def monomials(self, dim: int) -> Float[np.ndarray, "terms powers"]:
-        return monomials_of_order(self.order, dim)
+        return basis_monomials(self.order, dim)

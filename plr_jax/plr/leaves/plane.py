@@ -172,8 +172,7 @@ class IndependentLeafModel(base.LinearLeafModel):
 
         # 3. Grow the tree.
         root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
-        encoding = Encoding(choices, size, rounding_error)
-        nodes, leaf, bits = grow_best_first(root, sampler, nodes_of, limits, encoding)
+        nodes, leaf, bits = grow_best_first(root, sampler, nodes_of, limits, Encoding(choices, size, rounding_error))
         tree = tree_of(nodes.cells[leaf])
         return tree, stored(nodes, leaf[tree.order], bits), None
 

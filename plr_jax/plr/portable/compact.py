@@ -281,8 +281,7 @@ class _CompactWriter:
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
     """Join the rows of each 16 successive splits into one row, a record of the file; zeros pad the last record."""
-    padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
-    return padded.reshape(-1, _RECORD * of_splits.shape[1])
+    return np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0))).reshape(-1, _RECORD * of_splits.shape[1])
 
 
 class _Middles:

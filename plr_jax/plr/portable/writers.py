@@ -173,10 +173,8 @@ def require_identifier(name: object) -> None:
 
 def format_domain(domain: Box) -> str:
     """Format a domain for a comment, such as ``[0.0, 1.0] x [0.0, 6.28) periodic``."""
-    return " x ".join(
-        f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
-        for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
-    )
+    axes = zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
+    return " x ".join(f"[{lo}, {hi}{') periodic' if is_periodic else ']'}" for lo, hi, is_periodic in axes)
 
 
 def indent(lines: Iterable[str]) -> list[str]:

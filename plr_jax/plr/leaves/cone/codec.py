@@ -28,6 +28,7 @@ _WIDTH_BITS = 6  # bits of a bit width
 _EXPONENT_BIAS = 1 << 15  # added to the exponent of the step of fine sources
 _ESCAPE = 3  # smaller ranks of leaves' sources are stored as flags, others as codes
 _FINE_BITS = 26  # bits of a coordinate that is not on the lattice
+_SAME = 4  # steps of fine coordinates: distances of sources at one place are equal up to this
 _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048, 4096, 5000, 8192, 10000])
 # Limits: a file beyond them is not read, and numbers beyond _LARGEST_SQUARED are not written.
 _MOST_COORDINATE_BITS = 40
@@ -99,6 +100,7 @@ def store_sources(
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
     """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
 
+    If sources have ``exits``, those that are rounded alike merge only if their distances are equal up to rounding.
     Return the stored sources, and the index of each given source among the stored sources. ``is_off`` is the result
     of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
     """
@@ -119,13 +121,19 @@ def store_sources(
     fraction, is_fine = _lattice(off_lattices(points, domain) if is_off is None else is_off, exponent)
     code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
     rows = np.column_stack([~is_fine, code])
-    # 3. Count the turns from each source to its root, along the parents.
+    # 3. Count the turns from each source to its root, along the parents, and on from there along the exits.
+    onward = parents if sources.exits is None else np.where(parents == np.arange(len(rows)), sources.exits, parents)
     num_turns, ahead = np.zeros(len(rows), np.int64), np.arange(len(rows))
-    while (has_turn := parents[ahead] != ahead).any():
+    while (has_turn := onward[ahead] != ahead).any():
         num_turns += has_turn
-        ahead = parents[ahead]
+        ahead = onward[ahead]
+    if sources.exits is not None:  # distances may differ at one place, where obstacles touch: number groups of them
+        order = np.lexsort([sources.distances, *rows.T[::-1]])
+        is_apart = np.diff(sources.distances[order]) > _SAME * 2.0**exponent
+        group = np.append(0, np.cumsum(is_apart | (rows[order[1:]] != rows[order[:-1]]).any(axis=1)))
+        rows = np.column_stack([rows, group[np.argsort(order)]])
     # 4. Sort, fine sources first. Of sources with equal rows, keep one with the fewest turns. A kept source then has
-    # more turns than the source kept for its parent, so no circle can arise.
+    # more turns than the source kept for its parent or exit, so no circle can arise.
     order = np.lexsort([num_turns, *rows.T[::-1]])
     is_new = np.append(True, (rows[order[1:]] != rows[order[:-1]]).any(axis=1))
     kept = order[is_new]
@@ -133,7 +141,7 @@ def store_sources(
     index[order] = np.cumsum(is_new) - 1
     parent = index[parents[kept]]
     is_root = parent == np.arange(len(kept))
-    goals = None if sources.roots is None else sources.roots[kept[is_root]]
+    goals = None if sources.root_numbers is None else sources.root_numbers[kept[is_root]]
     root_offset = np.where(is_root, sources.distances[kept], 0).astype(np.float32).astype(np.float64)
     num_fine = int(np.count_nonzero(is_fine[kept]))
     return StoredSources(num_fine, exponent, fraction, code[kept], parent, root_offset, goals), index
@@ -324,16 +332,15 @@ class ConeFiles:
         is_kept, added = np.zeros(len(sources.parents), bool), source
         while len(added):
             is_kept[added] = True
-            ahead = (
-                [sources.parents[added]] if sources.exits is None else [sources.parents[added], sources.exits[added]]
-            )
+            ahead = [each[added] for each in (sources.parents, sources.exits) if each is not None]
             added = np.unique(np.concatenate(ahead))
             added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
         # 3. Encode them.
         columns = sources.points[kept], sources.distances[kept], np.searchsorted(kept, sources.parents[kept])
-        roots = None if sources.roots is None else sources.roots[kept]
-        stored, index = store_sources(Sources(*columns, roots), self.domain, self._is_off[kept])
+        numbers = None if sources.root_numbers is None else sources.root_numbers[kept]
+        exits = None if sources.exits is None else np.searchsorted(kept, sources.exits[kept])
+        stored, index = store_sources(Sources(*columns, numbers, exits), self.domain, self._is_off[kept])
         return StoredCones(stored, index[np.searchsorted(kept, source)])
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:

@@ -4,7 +4,7 @@ These partitions have no proof; ``worst_first.py`` finds partitions with small p
 
 1. Every box that halving the domain can give gets the cone ``offset + |x - source|`` of least mean error at the box's
    samples (``fit_boxes``).
-2. Dynamic programming finds the tree of least error plus a price per leaf that fills the file (``_largest_tree``).
+2. Dynamic programming finds the tree of least error plus a price per leaf that fills the file (``largest_tree``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``change_sources``).
 """
 
@@ -299,9 +299,7 @@ _BEYOND = 0.1  # excess at which an extrapolated price aims, on the other side o
 _LARGEST_STEP = 8.0  # of the logarithm of an extrapolated price
 
 
-def _largest_tree(
-    lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
-) -> SampledTree:
+def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float) -> SampledTree:
     # Search the price per leaf at which the tree of least cost plus prices fills the limits. A lower price gives a
     # larger tree. Estimated errors in `fits` are replaced, in place, where a tree has leaves.
     peak_weight = PEAK_WEIGHT / num_leaves
@@ -393,7 +391,7 @@ class FamilyTask:
             return [None], None
         fits = fit_boxes(self.lattice, goal, query_resolution(goal.table[:, 2]))
         files = ConeFiles(oracle.sources, self.domain)
-        tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
+        tree = largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
         source = fits.source[tree.box]
         if fits.is_mixed[tree.box].any():
             options = _options(self.lattice, fits, tree.box, LEAST_SHORTFALL * float(self.domain.width.max()))
@@ -421,5 +419,4 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | Wo
     halvings = min(halvings, _MOST_HALVINGS, limits.max_axis_depth)
     position = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)
     cells = Cells(np.full(position.shape, halvings), position)
-    shared = first.shared_samples(*cells.boxes(domain))
-    return FamilyTask(shared, Lattice(halvings), domain, limits, num_leaves)
+    return FamilyTask(first.shared_samples(*cells.boxes(domain)), Lattice(halvings), domain, limits, num_leaves)

@@ -45,10 +45,8 @@ class Cone(LeafModel):
 
     def check_domain(self, domain: Box) -> None:
         if domain.is_periodic:
-            raise ValueError(
-                f"Leaves of kind 'cone' need Euclidean distances, without periodic axes, got {domain}. Use "
-                "continuous leaves or planes instead."
-            )
+            expected = "Euclidean distances, without periodic axes"
+            raise ValueError(f"Leaves of kind 'cone' need {expected}, got {domain}. Use continuous leaves or planes.")
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
         if sampler.cache is None:
@@ -112,10 +110,8 @@ class Cone(LeafModel):
 
 def as_sourced(leaf: LeafModel) -> Cone:
     if not isinstance(leaf, Cone):
-        raise ValueError(
-            f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources. Build the PLR with "
-            "leaf='cone', or follow it with descend."
-        )
+        message = f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources"
+        raise ValueError(f"{message}. Build the PLR with leaf='cone', or follow it with descend.")
     return leaf
 
 

@@ -18,7 +18,7 @@ from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
-from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
+from plr_jax.plr.best_partition import BoxLevel, Halves, PricedTree, PriceSearch
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
@@ -60,15 +60,11 @@ class ConeBoxes(Rows):
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
     def new_halves(
-        self,
-        parent: Int[np.ndarray, " halves"],
-        axis: Int[np.ndarray, " halves"],
-        is_upper: Bool[np.ndarray, " halves"],
-        known_keys: UInt64[np.ndarray, " known"],
+        self, parent: Halves, axis: Halves, is_upper: Bool[np.ndarray, " halves"], known: UInt64[np.ndarray, " known"]
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
         """Halve boxes, and compute the halves that are not known yet, in the order of their first appearance.
 
-        Half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``. ``known_keys`` are hashes of the
+        Half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``. ``known`` are hashes of the
         known boxes. Return the new halves, their hashes, and the hashes of all halves. Two boxes may share a half:
         the upper half of a left half is the left half of an upper half.
         """
@@ -76,9 +72,10 @@ class ConeBoxes(Rows):
         lo, hi = cells.grown_boxes(self.domain)
         key = cells.hashes()
         _, first_with_key = np.unique(key, return_index=True)
-        new = np.sort(first_with_key[~np.isin(key[first_with_key], known_keys)])
+        new = np.sort(first_with_key[~np.isin(key[first_with_key], known)])
         visible = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
-        return fit_boxes(self.domain, self.negligible, cells[new], visible, self.by_side, self.reach), key[new], key
+        boxes = fit_boxes(self.domain, self.negligible, cells[new], visible, self.reach)
+        return replace(boxes, by_side=self.by_side), key[new], key
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
@@ -90,32 +87,26 @@ def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
 
 
 def fit_boxes(
-    domain: Box,
-    negligible: float,
-    cells: Cells,
-    visible: CellSources,
-    by_side: bool = False,
-    reach: Reach | None = None,
-    most_options: int = _MOST_TRIED,
+    domain: Box, negligible: float, cells: Cells, visible: CellSources, reach: Reach | None, most: int = _MOST_TRIED
 ) -> ConeBoxes:
     """Choose the cone of each box that has the least integral of proven error, after trying a few sources.
 
-    A box tries at most ``most_options`` sources. ``negligible`` is the largest error that counts as 0. ``cells`` are
-    the boxes, and the cells of ``visible``. See :class:`ConeBoxes` for the other arguments.
+    A box tries at most ``most`` sources. ``negligible`` is the largest error that counts as 0. ``cells`` are the
+    boxes, and the cells of ``visible``. See :class:`ConeBoxes` for the other arguments.
     """
     # 1. If all paths from a box go straight to one source, its cone is exact.
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     mixed = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(mixed):
         # 2. A mixed box tries the sources that the centers of its convex pieces use (keys: box * count + source).
-        # Sources of the largest area come first; the first `most_options` of each box stay.
+        # Sources of the largest area come first; the first `most` of each box stay.
         visible_of_mixed = visible.of_cells(mixed)
         count, area = len(visible.sources.points), areas(visible_of_mixed.pieces)
         key, index = np.unique(visible_of_mixed.cell * np.int64(count) + visible_of_mixed.best, return_inverse=True)
         box, source = np.divmod(key, count)
         order = np.lexsort((source, -np.bincount(index, area, len(key)), box))
         box, source = box[order], source[order]
-        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < most_options
+        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < most
         box, source = box[is_tried], source[is_tried]
         # 3. It takes the source with the least integral of the error, of equal ones the least largest error.
         option_error, option_integral = option_errors(visible_of_mixed, box, source)
@@ -134,7 +125,7 @@ def fit_boxes(
         is_border, distances = reach.is_border(*cells.fractions), visible.sources.distances
         largest_distance = distances[np.isfinite(distances)].max() + float(np.linalg.norm(domain.width))
         integral[is_border] += largest_distance * np.ldexp(1.0, -cells.depth[is_border].sum(axis=1))
-    return ConeBoxes(domain, negligible, cells, visible, best, error, integral, by_side, reach)
+    return ConeBoxes(domain, negligible, cells, visible, best, error, integral, reach=reach)
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
@@ -307,7 +298,8 @@ def best_cones_of_goal(
     """
     # 1. Start from the domain as the only box.
     negligible = max(limits.tolerance, query_resolution(visible.distance))
-    root = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE, reach)
+    root = fit_boxes(domain, negligible, Cells.root(2), visible, reach)
+    root = replace(root, by_side=limits.proof is Proof.NONE)
     files = ConeFiles(visible.sources, domain)
 
     def in_order(levels: list[BoxLevel], priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:

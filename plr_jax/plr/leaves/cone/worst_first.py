@@ -189,7 +189,7 @@ class WorstFirst:
         num_sources = np.int64(len(oracles[0].sources.points))
 
         def fit(cells: Cells, visible: CellSources) -> ConeBoxes:
-            return fit_boxes(self.domain, 0.0, cells, visible, most_options=_MOST_TRIED)
+            return fit_boxes(self.domain, 0.0, cells, visible, None, _MOST_TRIED)
 
         def nodes_of(boxes: ConeBoxes, goal: Any, parent: Any, path: Any, parent_key: Any) -> _Nodes:
             key = np.where(boxes.error > negligible[goal], np.minimum(boxes.error, parent_key), 0.0)
