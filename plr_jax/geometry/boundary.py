@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from plr_jax._arrays import PickledWithoutCaches, as_numbers, batches, index_of, shortened, slices
+from plr_jax._arrays import PickledWithoutCaches, as_numbers, batches, index_of, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import connected_groups
@@ -227,9 +227,9 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     is_reflex = boundary.is_reflex()
     regions = []
-    for part in slices(len(strips), _COLLARS):
-        collars = np.asarray(shapely.polygons(strips[part])).tolist()
-        for edge in part.start + np.flatnonzero(is_reflex[part]):
+    for begin in range(0, len(strips), _COLLARS):
+        collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
+        for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
             rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge], outside)
             collars.append(shapely.polygons(np.vstack([corner, rim])))
@@ -245,8 +245,9 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
     return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_flatten_collections(shapes)))
 
 
-def _flatten_collections(shapes: BaseGeometry | Iterable[Any], kind: type = GeometryCollection) -> Iterator[Any]:
-    for shape in [shapes] if isinstance(shapes, BaseGeometry) else shapes:
+def _flatten_collections(shapes: Any, kind: type = GeometryCollection) -> Iterator[Any]:
+    items: Any = [shapes] if isinstance(shapes, BaseGeometry) else shapes
+    for shape in items:
         yield from _flatten_collections(shape.geoms, kind) if isinstance(shape, kind) else (shape,)
 
 

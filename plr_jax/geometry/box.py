@@ -167,9 +167,8 @@ class Box:
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
-        # The number of whole periods in the difference, rounded.
-        turns = np.rint(_TIE * (x - reference) / self.width)
-        return x - self.width * np.where(self.periodic, turns, 0.0)
+        # Subtract the number of whole periods in the difference, rounded.
+        return x - self.width * np.where(self.periodic, np.rint(_TIE * (x - reference) / self.width), 0.0)
 
     def difference(self, a: ArrayLike, b: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
         """Return ``a - b`` for finite points ``(..., dim)``, the short way around periodic axes."""

@@ -341,8 +341,8 @@ class Roadmap:
         def sees(batch, vertex, point, column):
             return self.is_visible(batch[point], vertices[vertex[point, column]])
 
-        steps = list(_arrays.slices(len(x), step))
-        for rows in tqdm(steps, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
+        parts = list(_arrays.slices(len(x), step))
+        for rows in tqdm(parts, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
             # 2. Find the near vertices, and the length of the path through each; NaN excludes a vertex.
             #    The tree refuses to look for no vertices.
             batch, nearest = x[rows], np.arange(1, 1 + max(1, int(count[rows].max())))
