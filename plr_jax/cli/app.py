@@ -53,10 +53,11 @@ app = typer.Typer(
 )
 
 
-def _print_version(is_asked: bool) -> None:
+def _print_version(is_asked: bool) -> bool:
     if is_asked:
         typer.echo(f"plr-jax {plr_jax.__version__}")
         raise typer.Exit
+    return is_asked  # Typer passes the result on as the option's value
 
 
 @app.callback()

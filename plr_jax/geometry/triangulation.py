@@ -264,7 +264,9 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     is_clockwise = cross_product(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[is_clockwise] = corners[is_clockwise, ::-1]
     # 3. Find the indices of the triangles' vertices by coordinates: complex numbers are ordered by x, then y.
-    triangles = index_of(vertices @ [1, 1j], corners.reshape(-1, 2) @ [1, 1j]).reshape(-1, 3)
+    keys = vertices @ [1, 1j]
+    order = np.argsort(keys)
+    triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
     # 4. Insert the missing walls one by one, in integer arithmetic.
     missing = _missing_edges(triangles, boundary.edges, len(vertices))
     if len(missing):
@@ -281,12 +283,17 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     return Triangulation(boundary, tolerance, *_free_side(boundary.edges, triangles, len(vertices)))
 
 
+def _edge_keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, " n"]:
+    return edges[:, 0].astype(np.int64) * num_vertices + edges[:, 1]
+
+
 def _half_edges(triangles: Triangles) -> Int[np.ndarray, "half_edges 2"]:
     return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
 def _missing_edges(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.ndarray, "missing 2"]:
-    return edges[index_of(_half_edges(triangles) @ [num_vertices, 1], edges @ [num_vertices, 1]) < 0]
+    keys = _edge_keys(_half_edges(triangles), num_vertices)
+    return edges[index_of(keys, _edge_keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
@@ -365,9 +372,9 @@ def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[H
     """
     # 1. Find the wall along each half-edge that has the wall's direction, so that free space is on its left.
     half_edges = _half_edges(triangles)
-    key = half_edges @ [num_vertices, 1]  # a number for each pair of start and end
-    wall = index_of(edges @ [num_vertices, 1], key)
-    twin = index_of(key, half_edges @ [1, num_vertices])
+    key, opposite = (_edge_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
+    wall = index_of(_edge_keys(edges, num_vertices), key)
+    twin = index_of(key, opposite)
     # 2. Walls divide the triangles into connected parts. A part is free if one of its half-edges has a wall.
     is_blocked = (wall >= 0) | (wall[twin] >= 0) | (twin < 0)
     passage = np.flatnonzero(~is_blocked)
