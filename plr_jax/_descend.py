@@ -162,11 +162,8 @@ def _along_corners(
     if not (is_fine := workspace.is_free(goals)).all():
         got = f"{goals[is_fine.argmin()].tolist()}: move it out of the obstacle or into the bounds"
         raise ValueError(f"The goal must be in free space, got {got}.")
-    num_goals, places = len(goals), find_corners(workspace)[0]
-    for point in goals:
-        places = places.without(point)
-    places = places.with_points(goals)
-    points = places.points
+    places = find_corners(workspace)[0].without(goals).with_points(goals)
+    num_goals, points = len(goals), places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
     field[:num_goals] = offsets = as_offsets(offsets, num_goals)
     end = Arcs(np.full(num_goals, len(points)), np.arange(num_goals), offsets)  # to the goals from a place after all

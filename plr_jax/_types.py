@@ -93,6 +93,14 @@ class Sources:
     root_numbers: Int[np.ndarray, " sources"] | None = None
     exits: Int[np.ndarray, " sources"] | None = None  # itself for goals and other sources. None: all roots are goals
 
+    @staticmethod
+    def of_graph(points: Points, distances: Distances, parents: Int[np.ndarray, " v"], *roots: Any) -> "Sources":
+        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next one.
+
+        ``roots`` may have ``root_numbers`` and ``exits``.
+        """
+        return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents), *roots)
+
 
 CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports
 

@@ -41,7 +41,10 @@ def test_argument_of_wrong_type_is_named(tmp_path, monkeypatch):
         (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
         (lambda: built(margin=-0.1), "margin must be a fraction from 0 to 1"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
-        (lambda: pj.save(5, "no.plr"), "Only a PLR, a BuildingPLR, a PairPLR or GridPairs can be saved, got 5"),
+        (
+            lambda: pj.save(5, "no.plr"),
+            "Only a PLR, a BuildingPLR, a PairPLR, BuildingPairs or GridPairs can be saved, got 5",
+        ),
         (lambda: pj.save(built(), 7), "path must be the name of a file, a str or a Path, got 7"),
         (lambda: pj.load(True), "path must be the name of a file, a str or a Path, got True"),
         (lambda: pj.load(built().to_bytes()), r"got \d+ bytes. For the content of a PLR's file use from_bytes"),

@@ -171,17 +171,16 @@ class BuildingOracle:
         start is its distance to the nearest goal of the building. ``ValueError`` if no goal can be reached from the
         floor.
         """
-        building, sources = self.building, self.paths.sources
+        building, sources, numbers = self.building, self.paths.sources, self.paths.root_numbers
         if not 0 <= floor < len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
-        root = np.flatnonzero(self.paths.root_numbers >= 0)
-        points = sources.points[root] - shift
-        clipped = np.clip(points, bounds.lo, bounds.hi)
-        here = (np.abs(points - clipped) <= building.plane.tolerance).all(axis=1)  # shifts are rounded
-        if not here.any():
+        # Roots are at goals and at the starts of links. Shifts are rounded, so points may be just outside the bounds.
+        places = [*self.goals, *(link.start for _, link in self.floors.arcs)]
+        root = np.flatnonzero((numbers >= 0) & (np.array([k for k, _ in places])[numbers] == floor))
+        if not len(root):
             raise ValueError(f"No goal can be reached from floor {floor}.")
-        root, (first, *others) = root[here], clipped[here]
+        first, *others = np.clip(sources.points[root] - shift, bounds.lo, bounds.hi)
         graph: Any = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from plr_jax._arrays import index_of
 from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.buildings.floors import Route
 from plr_jax.buildings.numpy_building import NumpyBuildingPLR
-from plr_jax.plr._trace import trace
+from plr_jax.plr._trace import trace_by_sources
 
 if TYPE_CHECKING:
     from plr_jax.buildings.building import Building
@@ -39,19 +38,12 @@ class BuildingPLR(NumpyBuildingPLR):
         without legs.
         """
         floors, stored = self.floors, self.plane.stored.sources
-        traces = trace(self.plane, floors.in_plane(floor, starts), None if building is None else building.plane)
-        # 1. Find the source to which each path goes first: its second point, or the start itself. Of several sources
-        #    there, a path that ends takes a root, and another path takes a source with a parent.
-        second = traces.paths[np.arange(len(traces)), np.minimum(1, np.maximum(traces.counts, 1) - 1)]
-        keys, first = stored.points @ [1, 1j], np.full(len(traces), -1)
-        for is_end in (False, True):
-            order = np.argsort(stored.is_root != is_end, kind="stable")
-            order = order[np.unique(keys[order], return_index=True)[1]]
-            rows = np.flatnonzero(traces.arrived & ((traces.counts <= 2) == is_end))
-            first[rows] = order[index_of(keys[order], second[rows] @ [1, 1j])]
-        # 2. Number the roots, and find where their links lead: to the sources nearest to the links' ends, of several
-        #    to the one nearest to the goal.
-        numbers, exits = np.full(len(keys), -1), np.arange(len(keys))
+        plane = None if building is None else building.plane
+        traces, first = trace_by_sources(self.plane, floors.in_plane(floor, starts), plane)
+        first = np.where(traces.arrived, first, -1)
+        # Number the roots, and find where their links lead: to the sources nearest to the links' ends, of several
+        # to the one nearest to the goal.
+        numbers, exits = np.full(len(stored.points), -1), np.arange(len(stored.points))
         numbers[stored.is_root] = stored.goals
         for root in np.flatnonzero(numbers >= floors.num_goals):
             end_floor, end = floors.arcs[numbers[root] - floors.num_goals][1].end

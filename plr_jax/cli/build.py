@@ -136,7 +136,7 @@ def build(
             raise ValueError(f"expected a goal, but {reason}: give --goal X,Y.")
         oracle, label = oracle_of(workspace, goals), NamedMap(map, goals, given).label
     if (length := len(label.encode())) > MOST_LABEL_BYTES:
-        stored = "MAP, its options and its goals"
+        stored = f"MAP, its options and its {len(goal or [])} goals"
         raise ValueError(f"The file has {MOST_LABEL_BYTES:,} bytes for {stored}, got {length:,}: give fewer goals.")
     width, height = workspace.bounds.width
     typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {width:g} x {height:g}")

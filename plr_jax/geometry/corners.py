@@ -23,7 +23,8 @@ from plr_jax.geometry.visibility import (
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
-ViewCornerPairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a viewpoint and a corner, as indices
+Pairs: TypeAlias = Int[np.ndarray, "2 pairs"]  # a viewpoint and a corner, as indices
+ViewsInSight: TypeAlias = tuple[VisibilityTable, Pairs]  # what viewpoints see, and the corners that also see them
 _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 
@@ -43,8 +44,8 @@ class ReflexCorners:
         at = [index] * len(points)
         return ReflexCorners(np.insert(self.points, at, points, 0), np.insert(self.walls, at, 0.0, 1), self.slack)
 
-    def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        is_other = (self.points != point).any(axis=1)
+    def without(self, points: Float[np.ndarray, "n 2"]) -> "ReflexCorners":
+        is_other = ~np.isin(self.points @ [1, 1j], points @ [1, 1j])
         return ReflexCorners(self.points[is_other], self.walls[:, is_other], self.slack)
 
     def is_tangent(self, corner: Indices, other: Indices) -> Bool[np.ndarray, "..."]:
@@ -152,17 +153,13 @@ def with_places(
     )
 
 
-def views_in_sight(
-    visibility: CornerVisibility, triangulation: Triangulation, views: Viewpoints
-) -> tuple[VisibilityTable, ViewCornerPairs]:
+def views_in_sight(visibility: CornerVisibility, triangulation: Triangulation, views: Viewpoints) -> ViewsInSight:
     """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
     table, (view, vertex) = visibility_of(triangulation, views)
     return table, mutual_pairs(visibility, table, view, visibility.of_vertex[vertex])
 
 
-def mutual_pairs(
-    visibility: CornerVisibility, table: VisibilityTable, view: Indices, corner: Indices
-) -> ViewCornerPairs:
+def mutual_pairs(visibility: CornerVisibility, table: VisibilityTable, view: Indices, corner: Indices) -> Pairs:
     """Return the pairs of a viewpoint and a corner that see each other, each pair once, sorted.
 
     ``table`` has what the viewpoints see. Viewpoint ``view[i]`` sees the vertex at ``corner[i]`` (-1: no corner).

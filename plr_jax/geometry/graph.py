@@ -54,10 +54,10 @@ class Graph:
     def adjacency(self) -> csr_array:
         """The lengths of edges and arcs from rows to columns as a sparse matrix; a stored entry 0 is a length."""
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
-        ends, lengths = np.concatenate([self.edges, self.edges[:, ::-1]]), np.tile(self.lengths, 2)
-        if len(self.arcs.start):
-            ends = np.concatenate([ends, np.stack([self.arcs.start, self.arcs.end], axis=1)])
-            lengths = np.append(lengths, self.arcs.length)
+        arcs = np.stack([self.arcs.start, self.arcs.end], axis=1)
+        ends = np.concatenate([self.edges, self.edges[:, ::-1], arcs], dtype=self.edges.dtype)
+        lengths = np.concatenate([self.lengths, self.lengths, self.arcs.length])
+        if len(arcs):
             # From one vertex to another, keep the shortest edge or arc: the matrix would add their lengths.
             order = np.argsort(lengths, kind="stable")
             _, shortest = np.unique((ends @ [len(self.vertices), 1])[order], return_index=True)

@@ -38,12 +38,11 @@ class NearestGoal(PickledWithoutCaches):
 
     Pass one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. ``offsets``
     are the costs of using each goal, in units of distance, finite and at least 0 (else ``ValueError``): the distance
-    to a goal is its function plus its offset. To share
-    preprocessing, use ``[first, *map(first.with_goal, others)]``, where ``first`` is a ``VisibilityGraph``, a
-    ``Roadmap`` or a ``GridGraph``. ``construct`` and planners accept a NearestGoal as a distance function. If all
-    functions are ``VisibilityGraph``s of one workspace, a PLR built from the NearestGoal may have cone leaves, can be
-    certified, and tells the nearest goal by :meth:`PLR.which`. After a PLR is saved and loaded, ``which`` needs cone
-    leaves.
+    to a goal is its function plus its offset. To share preprocessing, use ``[first, *map(first.with_goal, others)]``,
+    where ``first`` is a ``VisibilityGraph``, a ``Roadmap`` or a ``GridGraph``. ``construct`` and planners accept a
+    NearestGoal as a distance function. If all functions are ``VisibilityGraph``s of one workspace, a PLR built from
+    the NearestGoal may have cone leaves, can be certified, and tells the nearest goal by :meth:`PLR.which`. After a
+    PLR is saved and loaded, ``which`` needs cone leaves.
 
     Represent a wide exit, such as a door, by several goals: points along it, no farther apart than twice the error
     that you accept. If the map changes, make a new object:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -25,7 +25,7 @@ from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
     TurnRegions,
-    ViewCornerPairs,
+    ViewsInSight,
     corner_visibility,
     find_turn_points,
     mutual_pairs,
@@ -36,8 +36,6 @@ from plr_jax.geometry.single_points import FEW, Place, PointSight
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, viewpoints_at
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
-
-GoalsInSight: TypeAlias = tuple[VisibilityTable, ViewCornerPairs]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -77,7 +75,7 @@ class VisibilityGraph(PickledWithoutCaches):
         goal: ArrayLike,
         *,
         shared: PairDistances | None = None,
-        goal_view: GoalsInSight | None = None,
+        goal_view: ViewsInSight | None = None,
     ):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
@@ -85,7 +83,8 @@ class VisibilityGraph(PickledWithoutCaches):
         if shared is None:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
-        goal_table, (_, corner) = goal_view or goals_in_sight(workspace, corners, goal[None])
+        mesh = workspace.triangulation
+        goal_table, (_, corner) = goal_view or views_in_sight(corners, mesh, viewpoints_at(mesh, goal[None]))
         # 2. Join the goal, vertex 0, to the corners that it sees and that see it.
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
         set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_table, _goal_edges=edges)
@@ -149,7 +148,7 @@ class VisibilityGraph(PickledWithoutCaches):
     @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, numbered as in ``graph``: a shortest path first goes straight to one of them."""
-        return _sources(self.graph.vertices, self.distances, self._parents)
+        return Sources.of_graph(self.graph.vertices, self.distances, self._parents)
 
     @cached_property
     def sight(self) -> Sight:
@@ -359,13 +358,6 @@ class VisibilityGraph(PickledWithoutCaches):
         return distance, turn
 
 
-def goals_in_sight(
-    workspace: Workspace, corners: CornerVisibility, goals: Float[np.ndarray, "goals 2"]
-) -> GoalsInSight:
-    """Return what goals, distinct points of free space, see, and the pairs of a goal and a corner in mutual sight."""
-    return views_in_sight(corners, workspace.triangulation, viewpoints_at(workspace.triangulation, goals))
-
-
 @dataclass(frozen=True, eq=False)
 class NearestPaths:
     """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
@@ -384,14 +376,8 @@ class NearestPaths:
     table: VisibilityTable
 
     @classmethod
-    def of(
-        cls,
-        workspace: Workspace,
-        corners: CornerVisibility,
-        goals: Float[np.ndarray, "goals 2"],
-        offsets: Float[np.ndarray, " goals"],
-    ) -> "NearestPaths":
-        """Find the paths to ``goals``, points of free space; ``offsets`` are the costs of using each goal."""
+    def of(cls, workspace: Workspace, corners: CornerVisibility, goals: Points, offsets: Distances) -> "NearestPaths":
+        """Find the paths to ``goals``, points ``(n, 2)`` of free space; using them costs the ``offsets`` ``(n,)``."""
         # 1. Keep the cheapest of goals at one point.
         mesh, num_goals = workspace.triangulation, len(goals)
         place = mesh.place(goals).x
@@ -422,7 +408,7 @@ class NearestPaths:
         numbers[start[taken]] = number[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
         parents = np.where(numbers < 0, parents[:-1], -1)
-        sources = replace(_sources(vertices.points, distances[:-1], parents), root_numbers=numbers, exits=exits)
+        sources = Sources.of_graph(vertices.points, distances[:-1], parents, numbers, exits)
         # 5. List the sources at which paths from each triangle may turn first. Compute the cones of turns from
         #    rounded points: before rounding, a goal beside a corner may lie on another side of the corner's walls.
         views = views.append(corners.views)
@@ -460,11 +446,6 @@ class NearestPaths:
         sight = goal_sight(self.sources, self.regions.turns, self.table, self.regions.triangulation, num_goals=0)
         lists = lists_of_goal(self.regions, num_goals=0)
         return CellSources.of_boxes(sight, lists, domain.lo[None], domain.hi[None])
-
-
-def _sources(points: Points, distances: Distances, parents: Int[np.ndarray, " vertices"]) -> Sources:
-    # A vertex without a next one is its own parent.
-    return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents))
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:

@@ -82,7 +82,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
     while len(next_edges := edges[(parents[start[edges]] < 0) & (parents[end[edges]] >= 0)]):
         parents[start[next_edges]] = end[next_edges]  # the last assignment wins: the shortest path
     distances[parents < 0] = np.inf  # paths only start there, so no leaf may use the corner
-    return Sources(points, distances, np.where(parents < 0, np.arange(len(points)), parents))
+    return Sources.of_graph(points, distances, parents)
 
 
 def _best_sources(

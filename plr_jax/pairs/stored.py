@@ -359,9 +359,7 @@ class PairsFileData:
         first, count = BitWriter(), self.num_corners
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
-        is_corner = np.zeros(len(self.outline.points), bool)
-        is_corner[self.corner] = True
-        first.write_set(is_corner)
+        first.write_set(np.isin(np.arange(len(self.outline.points)), self.corner))
         is_joined = np.zeros(comb(count, 2), bool)
         i, j = self.edges.T
         is_joined[j * (j - 1) // 2 + i] = True
@@ -458,11 +456,11 @@ def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "
     if num_corners + num_places > MOST_CORNERS:
         raise ValueError(f"it may have at most {MOST_CORNERS} corners and places, got {num_corners + num_places}")
     places, lengths = body.read_doubles(2 * num_places).reshape(-1, 2), body.read_doubles(num_arcs)
-    ends = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
+    start, end = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
     is_valid = np.isfinite(places).all() and np.isfinite(lengths).all() and (lengths >= 0).all()
-    if not is_valid or ends.max(initial=0) >= num_places:
+    if not is_valid or max(start.max(initial=0), end.max(initial=0)) >= num_places:
         raise ValueError("its places or arcs are invalid")
-    return places, Arcs(*(num_corners + ends), lengths)
+    return places, Arcs(num_corners + start, num_corners + end, lengths)
 
 
 def _read_rounding(body: BitReader) -> float:

@@ -96,6 +96,13 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is no Workspace, or a
             workspace is given for a PLR that is not in the plane.
     """
+    return trace_by_sources(plr, starts, workspace)[0]
+
+
+def trace_by_sources(
+    plr: PLR, starts: ArrayLike, workspace: "Workspace | None"
+) -> tuple[Traces, Int[np.ndarray, " n"]]:
+    """Trace paths as :func:`trace`; also return the index of the first source on each path, -1 without a path."""
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
     as_sourced(plr.leaf)
@@ -144,10 +151,12 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
 
     # 4. Add rows for starts without a path.
     columns = []
-    for rows, fill in ((paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)):
+    fills = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE), (first, -1)
+    for rows, fill in fills:
         columns.append(np.full((len(starts), *rows.shape[1:]), fill, rows.dtype))
         columns[-1][has_path] = rows
-    return Traces(*columns, are_tested=workspace is not None)
+    *of_traces, first = columns
+    return Traces(*of_traces, are_tested=workspace is not None), first
 
 
 class _SourceSight:

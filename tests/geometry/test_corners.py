@@ -13,9 +13,9 @@ def test_goal_comes_first_and_replaces_a_corner():
     np.testing.assert_array_equal(corners.points, [[4, 8], [6, 8]])
     # A free sector opens counterclockwise: at (4, 8) from the top of the block to its left side.
     np.testing.assert_array_equal(corners.walls, [[[1, 0], [0, -1]], [[0, -1], [-1, 0]]])
-    np.testing.assert_array_equal(corners.without(goal).points, [[6, 8]])
-    np.testing.assert_array_equal(corners.without(goal).walls, corners.walls[:, 1:])
-    vertices = corners.without(goal).with_points(goal[None])
+    np.testing.assert_array_equal(corners.without(goal[None]).points, [[6, 8]])
+    np.testing.assert_array_equal(corners.without(goal[None]).walls, corners.walls[:, 1:])
+    vertices = corners.without(goal[None]).with_points(goal[None])
     np.testing.assert_array_equal(vertices.points, [[4, 8], [6, 8]])
     np.testing.assert_array_equal(vertices.walls[:, 0], 0)
 
