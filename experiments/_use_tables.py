@@ -341,14 +341,14 @@ def buildings(exact: dict[str, Any], costs: dict[str, Any], bounds: dict[str, An
     rows = exact["rows"]
     largest = max(row["largest"] for row in rows)
     return table + (
-        f"\n{costs['floors']} floors, {costs['links']} links, {costs['corners']:,} corners and ends of links. Errors: "
-        f"{costs['points']:,} points. Bounds: {bounds['rows'][0]['points']:,} points with a path. Preparing the "
-        f"building takes {costs['preparing']:.2f} CPU s, another goal {costs['another_goal']:.3f} s. The oracle beside "
-        f"an independent search by Shapely and NetworkX, {len(rows)} goals, {exact['points']:,} points each: "
+        f"\n{costs['floors']} floors, {costs['links']} links, {costs['corners']:,} corners and ends of links. "
+        f"Errors: {costs['points']:,} points. Bounds: {bounds['rows'][0]['points']:,} points with a path. Preparing "
+        f"the building takes {costs['preparing']:.2f} CPU s, another goal {costs['another_goal']:.3f} s. The oracle "
+        f"beside an independent search by Shapely and NetworkX, {len(rows)} goals, {exact['points']:,} points each: "
         f"{sum(row['wrong'] for row in rows)} differ by more than {exact['error']:g} m, largest difference "
-        f"{largest:.1e} m. On {random['buildings']} random buildings: {wrong['oracle']} wrong distances, next links and "
-        f"routes at {checked['oracle']['points']:,} points; {wrong['file']} broken bounds and wrong routes of files at "
-        f"{checked['file']['points']:,} points; {wrong['pairs']} wrong distances and bounds of "
+        f"{largest:.1e} m. On {random['buildings']} random buildings: {wrong['oracle']} wrong distances, next links "
+        f"and routes at {checked['oracle']['points']:,} points; {wrong['file']} broken bounds and wrong routes of "
+        f"files at {checked['file']['points']:,} points; {wrong['pairs']} wrong distances and bounds of "
         f"{checked['pairs']['points']:,} pairs.\n"
     )
 
