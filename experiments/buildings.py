@@ -63,7 +63,8 @@ def building_and_goal(smoke: bool) -> tuple[Building, tuple] | None:
         print("skipped: PLR_JAX_DATA names no folder with westport")
         return None
     entries = json.loads((folder / "links.json").read_text())
-    links = [Link(*zip(entry["floors"], entry["at"], strict=True), entry["cost"]) for entry in entries]
+    places = [tuple(zip(entry["floors"], entry["at"], strict=True)) for entry in entries]
+    links = [Link(start, end, entry["cost"]) for (start, end), entry in zip(places, entries, strict=True)]
     building = Building([scenes.read_workspace(folder / f"floor_{k}.wkt") for k in range(7)], links)
     floor, (x, y) = links[0].start
     return building, (floor, (x + 0.3, y + 0.2))

@@ -25,7 +25,7 @@ def faults(wrong):
     return {name: count for name, count in wrong.items() if count and name not in ("points", "traced")}
 
 
-@pytest.mark.parametrize("seed", seeds(8, 300))
+@pytest.mark.parametrize("seed", seeds(5, 300))
 @pytest.mark.parametrize("num_goals", [1, 3])
 def test_oracle_equals_an_independent_search(seed, num_goals):
     wrong = wrong_of_oracle(Case(seed, num_goals))
@@ -33,7 +33,7 @@ def test_oracle_equals_an_independent_search(seed, num_goals):
 
 
 @UNREACHED
-@pytest.mark.parametrize("seed", seeds(2, 100))
+@pytest.mark.parametrize("seed", seeds(1, 100))
 @pytest.mark.parametrize("num_goals", [1, 3])
 def test_bounds_hold_and_routes_from_files_are_free(seed, num_goals):
     case = Case(seed, num_goals)
