@@ -19,9 +19,9 @@ PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
 _MOST_BYTES = 2**24  # most bytes of the JSON text of floors and links that a reader unpacks
 NO_PATH = -2  # takes the place of a link's index at points without a path
-# Floors are shifted by multiples of 1, in small buildings of the next power of two below this share of the largest
-# floor.
-_UNIT_SHARE = 2.0**-4
+# Floors are shifted by multiples of 1, or of the next power of two below a share of the largest floor: the first one
+# in small buildings, the second one in large buildings, where rounding to 32 bits would join floors.
+_UNIT_SHARES = 2.0 ** np.array([-4.0, -13.0])
 
 
 def as_place(name: str, value: Any) -> Place:
@@ -99,7 +99,8 @@ class Floors:
         # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
         #    a partition do not reach into two floors once they are small.
         size = (self.hi - self.lo).max(axis=0)
-        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNIT_SHARE * size.max())))
+        most, least = 2.0 ** np.floor(np.log2(_UNIT_SHARES * size.max()))
+        unit = max(least, min(1.0, most))
         cell = (np.ceil(size / unit) + 2) * unit
         bits = (len(self.lo) - 1).bit_length()
         shapes = [(1 << a, 1 << bits - a) for a in range(bits + 1)]

@@ -125,6 +125,16 @@ def test_buildings_without_corners_and_links_at_the_rim_of_floors():
     assert oracle.shortest_path(1, far.bounds.lo).length == pytest.approx(6, abs=1e-6)
 
 
+def test_large_floors_lie_apart_in_32_bits():
+    """One unit of 1 between floors of 1e12 was less than the tolerance: paths crossed from floor to floor."""
+    wide = Workspace(((0, 0), (1e12, 1e12)))
+    building = Building([wide] * 9, [Link((0, (0, 0)), (1, (1e12, 0)), 5)])
+    assert np.isinf(building.oracle(2, (5, 5))(np.arange(9), np.full((9, 2), 1e12))).sum() == 8
+    floors = building.plane_floors
+    lo, hi = (np.float32(corner + floors.shift) for corner in (floors.lo, floors.hi))
+    assert (lo[1] - hi[0] > 1e8)[0]
+
+
 def test_oracle_takes_an_index_or_an_index_for_each_point():
     building = two_floors()
     oracle, (floor, x) = building.oracle(*GOAL), samples(building, 20)
