@@ -134,7 +134,8 @@ class Floors:
         ``inf``. ``ValueError`` if ``floor`` is no integer array, or a NumPy array with an index of no floor; inside
         ``jit`` such points become NaN.
         """
-        floor, x = (a if hasattr(a, "__array_namespace__") else np.asarray(a) for a in (floor, x))
+        floor = floor if hasattr(floor, "__array_namespace__") else np.asarray(floor)
+        x = x if hasattr(x, "__array_namespace__") else as_queries(x)
         module = next((a.__array_namespace__() for a in (x, floor) if not isinstance(a, np.ndarray)), np)
         count = len(self.lo)
         if floor.dtype.kind not in "iu":
@@ -145,9 +146,16 @@ class Floors:
                 raise ValueError(f"floor must be at least 0 and less than {count}, got {shortened(floor)}.")
         elif x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"Points must have shape (..., 2), got {x.shape}.")
+        try:
+            np.broadcast_shapes(floor.shape, x.shape[:-1])
+        except ValueError:
+            expected = f"an index, or indices of shape {x.shape[:-1]} as the points"
+            raise ValueError(f"floor must be {expected}, got shape {floor.shape}.") from None
         # Compare in 32 bits: rounding keeps the order, so that no point of a floor is outside by rounding.
-        lo, hi = (module.asarray(corner.astype(np.float32))[floor] for corner in (self.lo, self.hi))
-        inside = ((x.astype(np.float32) >= lo) & (x.astype(np.float32) <= hi)).all(axis=-1)
+        with np.errstate(over="ignore"):  # points far outside
+            lo, hi = (module.asarray(corner.astype(np.float32))[floor] for corner in (self.lo, self.hi))
+            rounded = x.astype(np.float32)
+        inside = ((rounded >= lo) & (rounded <= hi)).all(axis=-1)
         if module is np:
             p = x.astype(np.float64) + self.shift[floor]
         else:

@@ -68,6 +68,9 @@ def test_points_outside_and_unknown_floors(far):
         PLR(0.5, X[0])
     with pytest.raises(ValueError, match="shape"):
         PLR(0, [1.0, 2.0, 3.0])
+    for x in (X[:2], jax.numpy.asarray(X[:2])):
+        with pytest.raises(ValueError, match=r"of shape .* as the points"):
+            PLR([0, 0, 0], x)
     assert np.isnan(jax.jit(PLR)(np.array([-1, 2]), X[:2].astype(np.float32))).all()
     assert PLR.which(0, [(-1.0, 0.0)]).tolist() == [NO_PATH]
 
@@ -92,6 +95,9 @@ def test_routes_lead_to_the_goal_over_links(given):
 def test_starts_without_a_path_have_no_route():
     (route,) = PLR.trace(0, [(-1.0, 2.0)])
     assert (route.legs, route.links, route.length) == ([], [], np.inf)
+    for wrong in (BUILDING.floors[0], Building(BUILDING.floors[:1])):
+        with pytest.raises(ValueError, match="must be the Building of this PLR"):
+            PLR.trace(0, X[:1], wrong)
 
 
 @pytest.mark.parametrize("is_compact", [False, True])
