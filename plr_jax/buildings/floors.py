@@ -18,6 +18,7 @@ Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y
 PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
 _MOST_BYTES = 2**24  # most bytes of the JSON text of floors and links that a reader unpacks
+_MOST_GOALS = 2**20  # in a file
 NO_PATH = -2  # takes the place of a link's index at points without a path
 # Floors are shifted by multiples of 1, or of the next power of two below a share of the largest floor: the first one
 # in small buildings, the second one in large buildings, where rounding to 32 bits would join floors.
@@ -221,8 +222,10 @@ class Floors:
             require_integer("goals", floors.num_goals, 0)
             dims = {Box(*corners).dim for corners in zip(lo, hi, strict=True)}
             ends = [place[0] for link in floors.links for place in (link.start, link.end)]
-            if dims != {2} or max(ends, default=0) >= len(lo):
-                raise ValueError("a floor is no box in the plane, or a link leads to an unknown floor")
+            if dims != {2} or max(ends, default=0) >= len(lo) or floors.num_goals > _MOST_GOALS:
+                raise ValueError("a floor is no box in the plane, a link leads to no floor, or goals are too many")
+            with np.errstate(all="ignore"):  # floors of no possible size
+                _ = floors.domain
         except (TypeError, KeyError, ValueError, RecursionError) as error:
             raise ValueError(f"its floors and links are invalid: {error}") from None
         return floors
@@ -264,6 +267,14 @@ class OnFloors:
     def to_bytes(self) -> bytes:
         """Return the bytes of the file: the floors and links, then the file of ``plane``."""
         return self.floors.to_bytes() + self.plane.to_bytes()
+
+    @classmethod
+    def of_parts(cls, floors: Floors, plane: Any) -> "OnFloors":
+        """Join the parts of a file; ``ValueError`` if the function in the plane has another domain."""
+        domains = [(box.lo, box.hi) for box in (floors.domain, plane.domain)]
+        if not np.array_equal(*domains):
+            raise ValueError("its floors do not lie in its domain")
+        return cls(floors, plane)
 
     # JAX needs both functions for the subclasses that are pytrees.
     def tree_flatten(self) -> tuple[tuple[Any], str]:

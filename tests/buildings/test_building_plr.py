@@ -4,6 +4,7 @@ import ctypes
 import pickle
 import shutil
 import subprocess
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -141,8 +142,16 @@ def test_damaged_files_are_refused(tmp_path):
         for read in (load, load_numpy):
             with pytest.raises(ValueError, match=r"damaged.plr cannot be read"):
                 read(path)
+    floors = PLR.floors
+    twice = {name: np.tile(getattr(floors, name), (2, 1)) for name in ("lo", "hi")}
+    for other in (replace(floors, hi=floors.hi + 5), replace(floors, **twice)):
+        path.write_bytes(other.to_bytes() + PLR.plane.to_bytes())
+        for read in (load, load_numpy):
+            with pytest.raises(ValueError, match="its floors do not lie in its domain"):
+                read(path)
     for old, new in (
         ('"goals":0', '"goals":-1'),
+        ('"goals":0', '"goals":9999999999'),
         ("[[0,[2.0", "[[7,[2.0"),
         ('"lo":[[0.0', '"lo":[[99.0'),
         ("9.0,true", "-9.0,true"),
