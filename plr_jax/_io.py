@@ -42,8 +42,8 @@ def load(path: str | os.PathLike) -> Any:
         if data.startswith(BUILDING_MAGIC):
             floors, rest = Floors.read(data)
             if holds_pairs(rest):
-                return BuildingPairs(floors, pairs_from_bytes(rest))
-            return BuildingPLR(floors, from_bytes(rest))
+                return BuildingPairs.of_parts(floors, pairs_from_bytes(rest))
+            return BuildingPLR.of_parts(floors, from_bytes(rest))
         if data.startswith(GRID_MAGIC):
             return GridPairs.from_bytes(data)
         return pairs_from_bytes(data) if holds_pairs(data) else from_bytes(data)

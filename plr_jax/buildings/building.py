@@ -9,7 +9,15 @@ import numpy as np
 import shapely
 from jaxtyping import Int
 
-from plr_jax._arrays import PickledWithoutCaches, as_point, set_fields, shortened
+from plr_jax._arrays import (
+    PickledWithoutCaches,
+    as_point,
+    as_queries,
+    is_traced,
+    require_integer,
+    set_fields,
+    shortened,
+)
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility, with_places
@@ -42,6 +50,9 @@ class Building(PickledWithoutCaches):
     links: tuple[Link, ...] = field(repr=False)
 
     def __init__(self, floors: Iterable[Workspace], links: Iterable[Link] = ()):
+        for name, value in (("floors", floors), ("links", links)):
+            if not isinstance(value, Iterable):
+                raise ValueError(f"{name} must be a list, got {shortened(value)}.")
         all_floors, all_links = tuple(floors), tuple(links)
         for floor in all_floors:
             require_workspace(floor)
@@ -94,11 +105,16 @@ class Building(PickledWithoutCaches):
 
         Points of 32-bit floats first move into their floor's free space as by :meth:`Workspace.settled`.
         """
-        if np.asarray(x).dtype == np.float32:
-            floors, single = np.broadcast_arrays(np.asarray(floor)[..., None], x)
-            floor, x = floors[..., 0], single.astype(np.float64)
-            for k, workspace in enumerate(self.floors):
-                x[floor == k] = workspace.settled(single[floor == k])
+        if is_traced(floor) or is_traced(x):
+            return self.plane_floors.in_plane(floor, x)
+        floor, x = np.asarray(floor), as_queries(x, 2)
+        plane = self.plane_floors.in_plane(floor, x)
+        if x.dtype != np.float32:
+            return plane
+        floors, single = np.broadcast_arrays(floor[..., None], x)
+        floor, x = floors[..., 0], single.astype(np.float64)
+        for k, workspace in enumerate(self.floors):
+            x[floor == k] = workspace.settled(single[floor == k])
         return self.plane_floors.in_plane(floor, x)
 
     def _place_in_plane(self, place: Place) -> np.ndarray:
@@ -172,7 +188,8 @@ class BuildingOracle:
         floor.
         """
         building, sources, numbers = self.building, self.paths.sources, self.paths.root_numbers
-        if not 0 <= floor < len(building.floors):
+        require_integer("floor", floor, 0)
+        if floor >= len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
         # Roots are at goals and at the starts of links. Shifts are rounded, so points may be just outside the bounds.

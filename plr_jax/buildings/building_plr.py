@@ -1,11 +1,12 @@
 """PLRs of whole buildings in JAX: one PLR of the plane in which all floors lie side by side."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
+from plr_jax._arrays import shortened
 from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.buildings.floors import Route
@@ -38,6 +39,9 @@ class BuildingPLR(NumpyBuildingPLR):
         without legs.
         """
         floors, stored = self.floors, self.plane.stored.sources
+        given: Any = floors if building is None else getattr(building, "plane_floors", None)
+        if given is None or not np.array_equal((given.lo, given.hi), (floors.lo, floors.hi)):
+            raise ValueError(f"building must be the Building of this PLR, or None, got {shortened(building)}.")
         plane = None if building is None else building.plane
         traces, first = trace_by_sources(self.plane, floors.in_plane(floor, starts), plane)
         first = np.where(traces.arrived, first, -1)

@@ -18,10 +18,11 @@ Place: TypeAlias = tuple[int, tuple[float, float]]  # a floor, and a point (x, y
 PlaceLike: TypeAlias = Any  # a pair, such as (0, (1.5, 2)), that is checked and becomes a Place
 Corners: TypeAlias = Float[np.ndarray, "floors 2"]
 _MOST_BYTES = 2**24  # most bytes of the JSON text of floors and links that a reader unpacks
+_MOST_GOALS = 2**20  # in a file
 NO_PATH = -2  # takes the place of a link's index at points without a path
-# Floors are shifted by multiples of 1, in small buildings of the next power of two below this share of the largest
-# floor.
-_UNIT_SHARE = 2.0**-4
+# Floors are shifted by multiples of 1, or of the next power of two below a share of the largest floor: the first one
+# in small buildings, the second one in large buildings, where rounding to 32 bits would join floors.
+_UNIT_SHARES = 2.0 ** np.array([-4.0, -13.0])
 
 
 def as_place(name: str, value: Any) -> Place:
@@ -99,7 +100,8 @@ class Floors:
         # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
         #    a partition do not reach into two floors once they are small.
         size = (self.hi - self.lo).max(axis=0)
-        unit = min(1.0, 2.0 ** np.floor(np.log2(_UNIT_SHARE * size.max())))
+        most, least = 2.0 ** np.floor(np.log2(_UNIT_SHARES * size.max()))
+        unit = max(least, min(1.0, most))
         cell = (np.ceil(size / unit) + 2) * unit
         bits = (len(self.lo) - 1).bit_length()
         shapes = [(1 << a, 1 << bits - a) for a in range(bits + 1)]
@@ -133,7 +135,8 @@ class Floors:
         ``inf``. ``ValueError`` if ``floor`` is no integer array, or a NumPy array with an index of no floor; inside
         ``jit`` such points become NaN.
         """
-        floor, x = (a if hasattr(a, "__array_namespace__") else np.asarray(a) for a in (floor, x))
+        floor = floor if hasattr(floor, "__array_namespace__") else np.asarray(floor)
+        x = x if hasattr(x, "__array_namespace__") else as_queries(x)
         module = next((a.__array_namespace__() for a in (x, floor) if not isinstance(a, np.ndarray)), np)
         count = len(self.lo)
         if floor.dtype.kind not in "iu":
@@ -144,9 +147,16 @@ class Floors:
                 raise ValueError(f"floor must be at least 0 and less than {count}, got {shortened(floor)}.")
         elif x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"Points must have shape (..., 2), got {x.shape}.")
+        try:
+            np.broadcast_shapes(floor.shape, x.shape[:-1])
+        except ValueError:
+            expected = f"an index, or indices of shape {x.shape[:-1]} as the points"
+            raise ValueError(f"floor must be {expected}, got shape {floor.shape}.") from None
         # Compare in 32 bits: rounding keeps the order, so that no point of a floor is outside by rounding.
-        lo, hi = (module.asarray(corner.astype(np.float32))[floor] for corner in (self.lo, self.hi))
-        inside = ((x.astype(np.float32) >= lo) & (x.astype(np.float32) <= hi)).all(axis=-1)
+        with np.errstate(over="ignore"):  # points far outside
+            lo, hi = (module.asarray(corner.astype(np.float32))[floor] for corner in (self.lo, self.hi))
+            rounded = x.astype(np.float32)
+        inside = ((rounded >= lo) & (rounded <= hi)).all(axis=-1)
         if module is np:
             p = x.astype(np.float64) + self.shift[floor]
         else:
@@ -212,8 +222,10 @@ class Floors:
             require_integer("goals", floors.num_goals, 0)
             dims = {Box(*corners).dim for corners in zip(lo, hi, strict=True)}
             ends = [place[0] for link in floors.links for place in (link.start, link.end)]
-            if dims != {2} or max(ends, default=0) >= len(lo):
-                raise ValueError("a floor is no box in the plane, or a link leads to an unknown floor")
+            if dims != {2} or max(ends, default=0) >= len(lo) or floors.num_goals > _MOST_GOALS:
+                raise ValueError("a floor is no box in the plane, a link leads to no floor, or goals are too many")
+            with np.errstate(all="ignore"):  # floors of no possible size
+                _ = floors.domain
         except (TypeError, KeyError, ValueError, RecursionError) as error:
             raise ValueError(f"its floors and links are invalid: {error}") from None
         return floors
@@ -255,6 +267,14 @@ class OnFloors:
     def to_bytes(self) -> bytes:
         """Return the bytes of the file: the floors and links, then the file of ``plane``."""
         return self.floors.to_bytes() + self.plane.to_bytes()
+
+    @classmethod
+    def of_parts(cls, floors: Floors, plane: Any) -> "OnFloors":
+        """Join the parts of a file; ``ValueError`` if the function in the plane has another domain."""
+        domains = [(box.lo, box.hi) for box in (floors.domain, plane.domain)]
+        if not np.array_equal(*domains):
+            raise ValueError("its floors do not lie in its domain")
+        return cls(floors, plane)
 
     # JAX needs both functions for the subclasses that are pytrees.
     def tree_flatten(self) -> tuple[tuple[Any], str]:

@@ -99,6 +99,6 @@ def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:
         if not data.startswith(BUILDING_MAGIC):
             return NumpyPLR(data)
         floors, rest = Floors.read(data)
-        return NumpyBuildingPLR(floors, NumpyPLR(rest))
+        return NumpyBuildingPLR.of_parts(floors, NumpyPLR(rest))
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as a PLR: {error}.") from error

@@ -2,6 +2,8 @@
 
 import re
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from building_checks import Case, wrong_of_oracle, wrong_of_pairs, wrong_of_plr
@@ -125,6 +127,16 @@ def test_buildings_without_corners_and_links_at_the_rim_of_floors():
     assert oracle.shortest_path(1, far.bounds.lo).length == pytest.approx(6, abs=1e-6)
 
 
+def test_large_floors_lie_apart_in_32_bits():
+    """One unit of 1 between floors of 1e12 was less than the tolerance: paths crossed from floor to floor."""
+    wide = Workspace(((0, 0), (1e12, 1e12)))
+    building = Building([wide] * 9, [Link((0, (0, 0)), (1, (1e12, 0)), 5)])
+    assert np.isinf(building.oracle(2, (5, 5))(np.arange(9), np.full((9, 2), 1e12))).sum() == 8
+    floors = building.plane_floors
+    lo, hi = (np.float32(corner + floors.shift) for corner in (floors.lo, floors.hi))
+    assert (lo[1] - hi[0] > 1e8)[0]
+
+
 def test_oracle_takes_an_index_or_an_index_for_each_point():
     building = two_floors()
     oracle, (floor, x) = building.oracle(*GOAL), samples(building, 20)
@@ -160,7 +172,30 @@ def test_invalid_links_are_named(arguments):
 
 
 @pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_invalid_places_are_named(dtype):
+    oracle, x = Building([HALL]).oracle(0, (1, 1)), np.ones((2, 2), dtype)
+    wrong = {
+        0.0: "floor must be an integer",
+        1: "floor must be at least 0",
+        (0, 0, 0): "of shape (2,) as the points, got shape (3,)",
+    }
+    for floor, message in wrong.items():
+        for as_array in (np.asarray, jnp.asarray):
+            with pytest.raises(ValueError, match=re.escape(message)):
+                oracle(as_array(floor), as_array(x))
+    with pytest.raises(ValueError, match=r"jax\.pure_callback"):
+        jax.jit(lambda x: oracle(0, x))(x)
+    with pytest.raises(ValueError, match="floor must be an integer >= 0"):
+        oracle["0"]
+    assert np.isinf(oracle(0, [(1e300, 0)]))
+
+
+@pytest.mark.usefixtures("unchecked_types")
 def test_floors_are_workspaces_with_equal_squeeze():
+    for arguments in ((None,), (HALL,), ([HALL], Link((0, (1, 1)), (0, (2, 2)), 1))):
+        with pytest.raises(ValueError, match=r"(floors|links) must be a list, got"):
+            Building(*arguments)
     for floors in ([], [HALL, Workspace(((0, 0), (1, 1)), squeeze=True)]):
         with pytest.raises(ValueError, match="one or more floors with equal squeeze"):
             Building(floors)

@@ -4,6 +4,7 @@ import ctypes
 import pickle
 import shutil
 import subprocess
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -68,6 +69,9 @@ def test_points_outside_and_unknown_floors(far):
         PLR(0.5, X[0])
     with pytest.raises(ValueError, match="shape"):
         PLR(0, [1.0, 2.0, 3.0])
+    for x in (X[:2], jax.numpy.asarray(X[:2])):
+        with pytest.raises(ValueError, match=r"of shape .* as the points"):
+            PLR([0, 0, 0], x)
     assert np.isnan(jax.jit(PLR)(np.array([-1, 2]), X[:2].astype(np.float32))).all()
     assert PLR.which(0, [(-1.0, 0.0)]).tolist() == [NO_PATH]
 
@@ -92,6 +96,9 @@ def test_routes_lead_to_the_goal_over_links(given):
 def test_starts_without_a_path_have_no_route():
     (route,) = PLR.trace(0, [(-1.0, 2.0)])
     assert (route.legs, route.links, route.length) == ([], [], np.inf)
+    for wrong in (BUILDING.floors[0], Building(BUILDING.floors[:1])):
+        with pytest.raises(ValueError, match="must be the Building of this PLR"):
+            PLR.trace(0, X[:1], wrong)
 
 
 @pytest.mark.parametrize("is_compact", [False, True])
@@ -135,8 +142,16 @@ def test_damaged_files_are_refused(tmp_path):
         for read in (load, load_numpy):
             with pytest.raises(ValueError, match=r"damaged.plr cannot be read"):
                 read(path)
+    floors = PLR.floors
+    twice = {name: np.tile(getattr(floors, name), (2, 1)) for name in ("lo", "hi")}
+    for other in (replace(floors, hi=floors.hi + 5), replace(floors, **twice)):
+        path.write_bytes(other.to_bytes() + PLR.plane.to_bytes())
+        for read in (load, load_numpy):
+            with pytest.raises(ValueError, match="its floors do not lie in its domain"):
+                read(path)
     for old, new in (
         ('"goals":0', '"goals":-1'),
+        ('"goals":0', '"goals":9999999999'),
         ("[[0,[2.0", "[[7,[2.0"),
         ('"lo":[[0.0', '"lo":[[99.0'),
         ("9.0,true", "-9.0,true"),
