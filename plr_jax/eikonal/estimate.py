@@ -7,7 +7,7 @@ these costs are up to a few percent too high. Walls are moved to the nearest nod
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from math import gcd
 from typing import Any
@@ -19,8 +19,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._types import Reach
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Points, Sides, carried_goals, nearest_goals
-from plr_jax.eikonal.march import IsOpen, NearGoals, VoxelGroups, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Points, Sides, beside, carried_goals, nearest_goals
+from plr_jax.eikonal.march import IsOpen, VoxelGroups, extrapolated, has_coarse_grid, marched, start_of_march
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
@@ -136,11 +136,11 @@ def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Point
     # The cost-to-go has a kink at each goal. Its quotient by the straight cost to the nearest goal has none.
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
-    least = np.full(len(x), np.inf)
-    for goal_index in range(len(goals)):
-        index = np.full(len(x), goal_index)
-        least = np.minimum(least, _straight_costs(space, at_goals, index, space.domain.difference(goals[index], x)))
-    return least
+    costs = (
+        _straight_costs(space, at_goals, np.full(len(x), index), space.domain.difference(goal, x))
+        for index, goal in enumerate(goals)
+    )
+    return reduce(np.minimum, costs)
 
 
 def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> bool:
@@ -235,8 +235,8 @@ def grid_estimate(
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         slowness = motion_cost.blocks[0][1] * factor
         at_goal = motion_cost.blocks[0][1] * at_nearest
-        near_goals = NearGoals(straight, known_goal, lengths, sees_nearest, at_goal, radius)
-        start, level = near_goals.start_of_march(is_open, slowness, side)
+        is_in_sight = sees_nearest & (lengths < radius)
+        start, level = start_of_march(is_open, slowness, side, straight, known_goal, at_goal, lengths, is_in_sight)
         cost = marched(is_open, slowness, start, level, side, domain.periodic)
         if cost_map is None:
             cost = np.minimum(cost, straight)
@@ -365,9 +365,7 @@ def _nodes_at_walls(
     for axis, wraps in enumerate(space.domain.periodic):
         # Motions between two open nodes need a test unless both cells are proven free.
         is_free = cells == CellState.FREE
-        is_tested = is_open & np.roll(is_open, -1, axis) & ~(is_free & np.roll(is_free, -1, axis))
-        if not wraps:
-            is_tested[(slice(None),) * axis + (-1,)] = False
+        is_tested = is_open & beside(is_open, -1, axis, wraps, False) & ~(is_free & np.roll(is_free, -1, axis))
         unit = np.arange(len(side)) == axis
         begin = np.argwhere(is_tested)
         step = side * unit

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import spsolve_triangular
 from scipy.spatial import KDTree
@@ -50,6 +50,19 @@ def nearest_goals(
     return distance, index.astype(np.int64)
 
 
+def beside(
+    values: Shaped[np.ndarray, "*shape"], step: int, axis: int, wraps: bool, outside: float
+) -> Shaped[np.ndarray, "*shape"]:
+    """Return, for each grid node, the value of its neighbor before (``step`` 1) or after it (-1) along an axis.
+
+    Unless the axis ``wraps`` around, nodes of the first or last layer have no such neighbor, and get ``outside``.
+    """
+    result = np.roll(values, step, axis)
+    if not wraps:
+        result[(slice(None),) * axis + (0 if step == 1 else -1,)] = outside
+    return result
+
+
 def carried_goals(
     cost: Costs, known_goal: GoalIndex, side: Sides, periodic: tuple[bool, ...], num_goals: int
 ) -> GoalIndex:
@@ -62,21 +75,15 @@ def carried_goals(
     #    along each axis, by weights: the fall of the cost over the squared step. So it leads to smaller ranks.
     open_nodes = np.flatnonzero(np.isfinite(cost))
     order = open_nodes[np.argsort(cost.ravel()[open_nodes], kind="stable")]
-    rank = np.full(cost.size, -1)
-    rank[order] = np.arange(len(order))
+    rank = np.full(cost.shape, -1)
+    rank.ravel()[order] = np.arange(len(order))
     known_goal = known_goal.ravel()[order]
     neighbor, weights = [], []
     for axis, wraps in enumerate(periodic):
-        sides = []
-        for step in (1, -1):
-            beside = np.roll(cost, step, axis)
-            if not wraps:
-                beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.inf
-            sides.append((beside.ravel(), np.roll(rank.reshape(cost.shape), step, axis).ravel()))
-        (before, rank_before), (after, rank_after) = sides
-        least = np.minimum(before, after)[order]
-        fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
-        neighbor.append(np.where(before <= after, rank_before, rank_after)[order])
+        before, after = (beside(cost, step, axis, wraps, np.inf) for step in (1, -1))
+        toward = np.where(before <= after, np.roll(rank, 1, axis), np.roll(rank, -1, axis))
+        neighbor.append(toward.ravel()[order])
+        fall = np.maximum(cost.ravel()[order] - np.minimum(before, after).ravel()[order], 0.0)
         weights.append(np.where(known_goal < 0, fall / side[axis] ** 2, 0.0))
     weights, neighbor = np.stack(weights), np.stack(neighbor)
     total = weights.sum(axis=0)

@@ -26,13 +26,13 @@ from math import floor, gcd
 from typing import Any
 
 import numpy as np
-import skfmm
 from jaxtyping import Float, Int
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import as_numbers, shortened
+from plr_jax.eikonal.march import travel_times
 from plr_jax.eikonal.program import rescaling_of
 from plr_jax.geometry.graph import path_ends
 
@@ -418,11 +418,10 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     label[home] = np.arange(len(points))[::-1]
     front = np.where(label >= 0, -_TINY * side.min(), side.min())
     # 2. March, unless all free cells have a source.
-    distance = np.where(label >= 0, 0.0, np.inf)
-    if (np.isfinite(cost) & (label < 0)).any():
-        front = np.ma.MaskedArray(front, np.isinf(cost))
-        time = skfmm.travel_time(front, 1 / cost, dx=side[::-1].tolist(), order=2)
-        distance = np.where(label >= 0, 0.0, np.ma.filled(time, np.inf))
+    distance, is_open = np.where(label >= 0, 0.0, np.inf), np.isfinite(cost)
+    if (is_open & (label < 0)).any():
+        time = travel_times(front, is_open, cost, side[::-1], (False, False))
+        distance = np.where(label >= 0, 0.0, time)
     # 3. Find the nearest source of each cell.
     if len(points) == 1:
         return least * distance, np.where(np.isfinite(distance), 0, -1)
