@@ -26,6 +26,7 @@ from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace
 from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_costs, point_costs, pulled
+from plr_jax.spaces._raster_cost import nearest_cells
 
 MOST_AXES = 3
 # Default numbers of nodes by the number of axes.
@@ -121,8 +122,7 @@ class GridEstimate:
         goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
             return np.zeros_like(goal)
-        nearest: Any = ndimage.distance_transform_edt(goal < 0, side, return_distances=False, return_indices=True)
-        return goal[tuple(nearest)]
+        return goal[nearest_cells(goal >= 0, side)]
 
 
 def _straight_costs(

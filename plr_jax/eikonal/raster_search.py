@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -35,6 +34,7 @@ from plr_jax._arrays import as_numbers, shortened
 from plr_jax.eikonal.march import travel_times
 from plr_jax.eikonal.program import rescaling_of
 from plr_jax.geometry.graph import path_ends
+from plr_jax.spaces._raster_cost import nearest_cells
 
 # Numbers of cells for a search for paths, which takes about 4 kB a cell:
 _FINE_CELLS = 60_000  # smaller rasters are divided into about so many cells: 240 MB
@@ -154,16 +154,9 @@ def search(
         The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
         heights); the index of each cell's nearest source (-1 without a path); and the paths.
     """
-    # 1. Pad costs and heights with a rim of barriers, so that edges may leave the raster. Barriers get the height of
-    #    the nearest cell.
+    # 1. Pad costs with a rim of barriers, so that edges may leave the raster.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
-    rows, columns = cost.shape
-    home = cells_of(points, side, cost.shape)
-    if height is not None:
-        nearest_open: Any = ndimage.distance_transform_edt(
-            np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
-        )
-        height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
+    home, (rows, columns), is_open = cells_of(points, side, cost.shape), cost.shape, np.isfinite(cost)
     cost = np.pad(cost, _REACH, constant_values=np.inf)
     # 2. Number the nodes: corners of cells (`nodes[0]`, none with heights), then centers (`nodes[1]`), then sources.
     num_corners = (rows + 1) * (columns + 1) if height is None else 0
@@ -171,30 +164,39 @@ def search(
     nodes = {1: np.arange(num_corners, num_nodes).reshape(rows, columns)}
     if height is None:
         nodes[0] = np.arange(num_corners).reshape(rows + 1, columns + 1)
-    # 3. List the steps of edges from each node, in half cells, so that they pass no other node. Counted in half
-    #    cells, corners have even places and centers odd ones:
-    #
-    #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no node
-    #      3      x       x        if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place, (i / 2, j / 2), which is
-    #      2  o       o       o    no node if i / 2 + j / 2 is odd.
-    #      1      x       x
-    #      0  o       o       o
-    #         0   1   2   3   4
-    #
-    if height is None:
+        # 3. List the steps of edges from each node, in half cells, so that they pass no other node. Counted in half
+        #    cells, corners have even places and centers odd ones:
+        #
+        #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no
+        #      3      x       x        node if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place,
+        #      2  o       o       o    (i / 2, j / 2), which is no node if i / 2 + j / 2 is odd.
+        #      1      x       x
+        #      0  o       o       o
+        #         0   1   2   3   4
+        #
         half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
         steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
-    else:
-        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
-    # 4. List the edges from sources to nodes in and beside their cells, at offsets `near` from the centers of cells.
-    #    With heights, sources move to the centers, at no cost.
-    near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
-    if height is None:
+        # 4. Edges from sources lead to nodes in and beside their cells, at offsets `near` from the centers of cells.
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
         costs_to_near = _straight_costs(cost, side, points, home, near)
-    to_near = np.stack([_end_nodes(nodes, 1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
+    else:
+        # With heights, edges join centers, and sources move to centers, at no cost. Barriers get the height of the
+        # nearest cell.
+        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+        near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
+        points = (home[:, ::-1] + 0.5) * side
+        height = np.pad(height[nearest_cells(is_open, side[::-1])], _REACH, mode="edge")
     # 5. List the edges of all nodes, by node and step. The cost of an edge is its length, times the mean cost along
     #    it, times the mean factor of its parts' slopes. Fill the arrays in place, as they take most of the memory.
+    numbers = {half: np.pad(of_half, _REACH, mode="edge") for half, of_half in nodes.items()}
+
+    def end_nodes(half: int, i: int, j: int) -> Nodes:
+        # The nodes to which a step leads from all corners (`half` is 0) or centers (1) of cells. From a node at the
+        # place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2. Where the edge
+        # leaves the raster, any node will do: its cost is infinite.
+        return _beside(numbers[(half + i) % 2], nodes[half].shape, ((half + i) // 2, (half + j) // 2))
+
+    to_near = np.stack([end_nodes(1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
     size = num_nodes * len(steps)
     ends = np.append(np.empty(size, np.int32), to_near.astype(np.int32))
     costs = np.append(np.empty(size), costs_to_near)
@@ -208,7 +210,7 @@ def search(
             if height is not None:
                 height_at = partial(_beside, height, begin_nodes.shape)
                 of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn, from_sources)
-            end[edges, step], cost_of[edges, step] = _end_nodes(nodes, half, i, j).ravel(), of_step.ravel()
+            end[edges, step], cost_of[edges, step] = end_nodes(half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
         # The cells around each corner: a and b below it, c and d above it.
@@ -221,25 +223,14 @@ def search(
     sources = num_nodes + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
     nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - num_nodes, -1)]
-    tree = PathTree(toward, (rows, columns), side, points if height is None else (home[:, ::-1] + 0.5) * side)
+    tree = PathTree(toward, (rows, columns), side, points)
     if height is not None:
         return distance[nodes[1]], None, nearest, tree
     distance[contacts] = np.inf
     return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
-def _end_nodes(nodes: dict[int, Nodes], half: int, i: int, j: int) -> Nodes:
-    """Return the nodes to which a step leads from all corners (``half`` is 0) or centers (1) of cells."""
-    # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
-    end_nodes = nodes[(half + i) % 2]
-    row, column = (  # clipped where the edge leaves the raster: its cost is infinite
-        np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
-        for n, most, offset in zip(nodes[half].shape, end_nodes.shape, (i, j), strict=True)
-    )
-    return (end_nodes[0, 0] + row * end_nodes.shape[1])[:, None] + column
-
-
-def _beside(values: Padded, shape: tuple[int, ...], offset: tuple[int, int]) -> np.ndarray:
+def _beside(values: np.ndarray, shape: tuple[int, ...], offset: tuple[int, int]) -> np.ndarray:
     # The values of the cells that lie at an offset, in rows and columns, from the cells of a raster without rim.
     i, j = _REACH + offset[0], _REACH + offset[1]
     return values[i : i + shape[0], j : j + shape[1]]

@@ -327,10 +327,8 @@ class RasterCost:
         """Cost factors, indexed by x first, in which blocked cells have the factor of the nearest unblocked cell."""
         factors = self.values
         if not self.free.all():
-            around, middle = self._three_periods(~self.free)
-            nearest: Any = ndimage.distance_transform_edt(
-                around, sampling=self._sides, return_distances=False, return_indices=True
-            )
+            around, middle = self._three_periods(self.free)
+            nearest = nearest_cells(around, self._sides)
             factors = factors[tuple(index[middle] % size for index, size in zip(nearest, factors.shape, strict=True))]
         return np.ascontiguousarray(factors.T)
 
@@ -340,6 +338,11 @@ class RasterCost:
         factors = self._filled_factors
         padding = [(0, (size + 1) * wraps) for size, wraps in zip(factors.shape, self.domain.periodic, strict=True)]
         return SparseTable(np.pad(factors, padding, mode="wrap") if self.domain.is_periodic else factors)
+
+
+def nearest_cells(wanted: Bool[np.ndarray, "..."], sides: Float[np.ndarray, " dim"]) -> Any:
+    """Return, for each cell of a grid, the indices along all axes of the nearest cell that is ``wanted``."""
+    return tuple(ndimage.distance_transform_edt(~wanted, sides, return_distances=False, return_indices=True))
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
