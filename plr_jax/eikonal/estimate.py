@@ -44,6 +44,7 @@ _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 _RADIUS = {1: 100.0, 2: 32.0, 3: 12.0}  # of balls around goals, in shortest steps, by the number of axes
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
 Shape = tuple[int, ...]
+Rows = Int[np.ndarray, " n"]  # flat indices of nodes
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
 # Costs of motions at points: a factor of the norm, and perhaps two vectors: the larger scalar product is added.
@@ -189,20 +190,19 @@ def grid_estimate(
     radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
     sight = radius + 2 * np.linalg.norm(side)  # largest length of such motions
     straight, known_goal = np.full(shape, np.inf), np.full(shape, -1)
-    lengths, sees_nearest, is_seen = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(len(goals), bool)
+    sees_nearest, is_seen = np.zeros(shape, bool), np.zeros(len(goals), bool)
+
+    def in_sight(rows: Rows, goal: GoalIndex) -> tuple[Rows, Points]:
+        # Of the nodes in `rows`, those from which the straight motion to a goal is short and free, and this motion.
+        change = domain.difference(goals[goal], flat[rows])
+        is_near = np.linalg.norm(change, axis=1) < sight
+        rows, change = rows[is_near], change[is_near]
+        sees = space.are_free(flat[rows], flat[rows] + change)
+        return rows[sees], change[sees]
+
     for rank, goal_of_node in enumerate(nearest.T):
-        rows = np.arange(len(flat))
-        if rank:
-            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * sight))
-        to_goal = domain.difference(goals[goal_of_node[rows]], flat[rows])
-        length = np.linalg.norm(to_goal, axis=1)
-        is_near = is_open.ravel()[rows] & (length < sight)
-        near, change = rows[is_near], to_goal[is_near]
-        sees = space.are_free(flat[near], flat[near] + change)
-        near, change = near[sees], change[sees]
-        if rank == 0:
-            lengths = length.reshape(shape)
-            sees_nearest.ravel()[near] = True
+        rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * sight))
+        near, change = in_sight(rows, goal_of_node[rows])
         goal = goal_of_node[near]
         is_seen[goal] = True
         # The rate of costs is the mean of the rates at both ends, with a cost map also at the middle (Simpson's
@@ -214,13 +214,10 @@ def grid_estimate(
         is_better = costs < straight.ravel()[near]
         straight.ravel()[near[is_better]] = costs[is_better]
         known_goal.ravel()[near[is_better]] = goal[is_better]
-
-    if len(goals) > _NEAR_GOALS:  # other goals may be nearer to all nodes
-        open_nodes = flat[is_open.ravel()]
-        for goal in np.flatnonzero(~is_seen):
-            change = domain.difference(goals[goal], open_nodes)
-            is_near = np.linalg.norm(change, axis=1) < sight
-            is_seen[goal] = space.are_free(open_nodes[is_near], open_nodes[is_near] + change[is_near]).any()
+        if rank == 0:
+            sees_nearest.ravel()[near] = True
+    for goal in np.flatnonzero(~is_seen):  # other goals may be nearer to all nodes
+        is_seen[goal] = len(in_sight(np.flatnonzero(is_open), goal)[0]) > 0
 
     # 4. The cost-to-go of all nodes, by marching from balls around goals, or by paths over a stencil.
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
@@ -235,6 +232,7 @@ def grid_estimate(
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         slowness = motion_cost.blocks[0][1] * factor
         at_goal = motion_cost.blocks[0][1] * at_nearest
+        lengths = np.linalg.norm(domain.difference(goals[nearest[:, 0]], flat), axis=1).reshape(shape)
         is_in_sight = sees_nearest & (lengths < radius)
         start, level = start_of_march(is_open, slowness, side, straight, known_goal, at_goal, lengths, is_in_sight)
         cost = marched(is_open, slowness, start, level, side, domain.periodic)
@@ -248,7 +246,7 @@ def grid_estimate(
         if groups is not None:
             cost, closed_cost = groups.completed(cost, slowness)
     else:
-        cost, known_goal = _stencil_paths(space, cells, is_open, node, (factor, pulls), straight, known_goal, side)
+        cost, known_goal = _stencil_paths(space, cells, is_open, flat, at_nodes, straight, known_goal, side)
 
     # 5. The ratio of costs to their divisor. At a goal, where both are 0, it is the limit: the factor of the cost
     #    there, or 1 if the divisor has this factor.
@@ -381,8 +379,8 @@ def _stencil_paths(
     space: ConfigurationSpace,
     cells: CellStates,
     is_open: IsOpen,
-    node: Nodes,
-    costs: tuple[Costs, Float[np.ndarray, "2 *shape dim"] | None],
+    node: Points,
+    rates: Rates,  # of motions at the nodes
     straight: Costs,  # of a motion from each node to a goal near it, inf if none is free
     goal: GoalIndex,  # of that motion
     side: Sides,
@@ -396,15 +394,15 @@ def _stencil_paths(
     # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
-    factor, pulls = costs
+    factor, pulls = rates
     farthest = max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)
     is_clear: Any = cells == CellState.FREE
     for axis, wraps in enumerate(domain.periodic):
         is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
     # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
-    #    that pass another node. `a` and `b` are the indices, along each axis, of both ends of edges. Costs take the
-    #    mean rate of both ends.
-    node_index, edges = np.arange(num).reshape(shape), []
+    #    that pass another node. `a` and `b` are the flat indices of both ends of edges. Costs take the mean rate of
+    #    both ends.
+    begin, edges = np.argwhere(is_open), []
     for axes, _ in motion_cost.blocks:
         reach = _REACH[len(axes)]
         for offset in product(range(-reach, reach + 1), repeat=len(axes)):
@@ -412,22 +410,19 @@ def _stencil_paths(
                 continue
             step = np.zeros(len(shape), np.int64)
             step[list(axes)] = offset
-            a = np.argwhere(is_open)
-            b = a + step
-            is_inside = (((b >= 0) & (b < shape)) | np.array(domain.periodic)).all(axis=1)
-            a, b = a[is_inside], b[is_inside] % shape
-            is_edge = is_open[tuple(b.T)]
-            a, b = tuple(a[is_edge].T), tuple(b[is_edge].T)
-            change = np.broadcast_to(step * side, (len(a[0]), len(shape)))
-            tested = np.flatnonzero(~is_clear[a])
-            is_free = np.ones(len(a[0]), bool)
-            q = node[a][tested]
-            is_free[tested] = space.are_free(q, q + change[tested])
-            a, b, change = (tuple(rows[is_free] for rows in a), tuple(rows[is_free] for rows in b), change[is_free])
+            end = begin + step
+            is_inside = (((end >= 0) & (end < shape)) | np.array(domain.periodic)).all(axis=1)
+            a, b = (np.ravel_multi_index(tuple(ends[is_inside].T), shape, mode="wrap") for ends in (begin, end))
+            a, b = a[is_open.ravel()[b]], b[is_open.ravel()[b]]
+            tested = a[~is_clear.ravel()[a]]
+            is_free = np.ones(len(a), bool)
+            is_free[~is_clear.ravel()[a]] = space.are_free(node[tested], node[tested] + step * side)
+            a, b = a[is_free], b[is_free]
+            change = np.broadcast_to(step * side, (len(a), len(shape)))
             for tail, head, vector in ((a, b, change), (b, a, -change)):
-                mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
+                mean = None if pulls is None else (pulls[:, tail] + pulls[:, head]) / 2
                 cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
-                edges.append((node_index[tail], node_index[head], cost))
+                edges.append((tail, head, cost))
     # 3. Edges from nodes to goals; goal k has the index num + k. Without such an edge, goal 0 has no edges.
     near = np.flatnonzero(np.isfinite(straight).ravel())
     last = num + goal.ravel()[near]
