@@ -30,7 +30,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import as_numbers, shortened
+from plr_jax._arrays import as_numbers, path_from_root, shortened
 from plr_jax.eikonal.march import travel_times
 from plr_jax.eikonal.program import rescaling_of
 from plr_jax.geometry.graph import path_ends
@@ -86,19 +86,15 @@ class PathTree:
         first_source = len(self.next_node) - len(self.ends)
         num_corners = first_source - rows * columns
         # 1. Follow the next nodes up to a source.
-        vertices = []
         row, column = (center / self.side).astype(int)[::-1]
-        node = num_corners + row * columns + column
-        while node < first_source:
-            if node < 0:
-                return np.empty((0, 2))
-            is_center = int(node >= num_corners)
-            row, column = divmod(node - is_center * num_corners, columns + 1 - is_center)
-            vertices.append((column + is_center / 2, row + is_center / 2) * self.side)
-            node = self.next_node[node]
-        vertices.append(self.ends[node - first_source])
+        *nodes, last = path_from_root(self.next_node, num_corners + row * columns + column)[::-1]
+        if last < first_source:
+            return np.empty((0, 2))
+        is_center = np.array(nodes) >= num_corners
+        row, column = np.divmod(nodes - num_corners * is_center, columns + 1 - is_center)
+        vertices = (np.stack([column, row], axis=1) + is_center[:, None] / 2) * self.side
         # 2. Leave out equal vertices, and vertices at which the path does not turn.
-        path = np.array(vertices)
+        path = np.append(vertices, self.ends[last - first_source, None], axis=0)
         path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
         edges = np.diff(path, axis=0)
         edges /= np.linalg.norm(edges, axis=1, keepdims=True)
@@ -194,7 +190,7 @@ def search(
         # The nodes to which a step leads from all corners (`half` is 0) or centers (1) of cells. From a node at the
         # place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2. Where the edge
         # leaves the raster, any node will do: its cost is infinite.
-        return _beside(numbers[(half + i) % 2], nodes[half].shape, ((half + i) // 2, (half + j) // 2))
+        return _beside(numbers[(half + i) % 2], ((half + i) // 2, (half + j) // 2), nodes[half].shape)
 
     to_near = np.stack([end_nodes(1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
     size = num_nodes * len(steps)
@@ -203,12 +199,11 @@ def search(
     end, cost_of = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
     for half, begin_nodes in nodes.items():
         edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
-        cost_at = partial(_beside, cost, begin_nodes.shape)
+        cost_at, height_at = (partial(_beside, table, shape=begin_nodes.shape) for table in (cost, height))
         for step, (i, j) in enumerate(steps):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
             of_step = length * _mean_along(i, j, half, cost_at)
             if height is not None:
-                height_at = partial(_beside, height, begin_nodes.shape)
                 of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn, from_sources)
             end[edges, step], cost_of[edges, step] = end_nodes(half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
@@ -230,9 +225,12 @@ def search(
     return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
-def _beside(values: np.ndarray, shape: tuple[int, ...], offset: tuple[int, int]) -> np.ndarray:
-    # The values of the cells that lie at an offset, in rows and columns, from the cells of a raster without rim.
-    i, j = _REACH + offset[0], _REACH + offset[1]
+def _beside(
+    values: np.ndarray, offset: tuple[int, int], shape: tuple[int, ...], first: tuple[int, int] = (_REACH, _REACH)
+) -> np.ndarray:
+    # The values of the cells that lie at an offset, in rows and columns, from the cells of a part of a raster, or of
+    # a raster without rim. The part has the given shape, and begins at the cell `first`.
+    i, j = np.add(first, offset)
     return values[i : i + shape[0], j : j + shape[1]]
 
 
@@ -381,9 +379,8 @@ def _lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, 
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
     # 5. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
     #    there.
-    home = cells_of(points, side, cost.shape)
-    to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
-    home = tuple(home.T)
+    row, column = home = tuple(cells_of(points, side, cost.shape).T)
+    to_center = np.linalg.norm(points - (np.stack([column, row], axis=1) + 0.5) * side, axis=1)
     at_sources = np.max(lower[home] + cost[home] * to_center)
     lower = np.maximum(lower - at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
     return np.where(np.isfinite(at_centers), least * lower, np.inf)
@@ -397,10 +394,9 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     """
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
-        raise ValueError(
-            f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
-            f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
-        )
+        expected = f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}"
+        advice = "Reduce the largest, or make their cells barriers."
+        raise ValueError(f"{expected}, got costs from {least:g} to {most:g}. {advice}")
     cost = cost / least  # scikit-fmm ignores some small costs
     # 1. Begin with a front around cells with a source. In a cell with several sources the first one counts: it is
     #    written last.
@@ -437,12 +433,8 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
     index = toward.copy()
     least = np.full(distance.shape, np.inf)
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
-        first = np.maximum([0, 0], [-i, -j])
-        last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
-
-        def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
-            return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
-
+        shape = distance.shape[0] - abs(i), distance.shape[1] - abs(j)
+        part = partial(_beside, shape=shape, first=(max(-i, 0), max(-j, 0)))
         cost_of_step = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
         for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
             through = part(distance, b) + cost_of_step
