@@ -8,7 +8,7 @@ these costs are up to a few percent too high. Walls are moved to the nearest nod
 
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import product
+from itertools import count, product
 from math import gcd
 from typing import Any
 
@@ -288,9 +288,7 @@ def _grid(
     num_nodes = min(max(num_nodes, usual[domain.dim]), most)
     # 2. The centers of given cells, of their parts, or of groups of `size` cells along each axis.
     if cells is not None:
-        size = 1
-        while np.prod(-(-cells // size), dtype=float) > most:
-            size += 2
+        size = next(size for size in count(1, 2) if np.prod(-(-cells // size), dtype=float) <= most)
         shape = -(-cells // size)
         if size == 1:
             shape *= 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)

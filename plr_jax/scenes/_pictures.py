@@ -245,11 +245,9 @@ def read_cost_map(
             raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")
         grid = map_server.occupancy_grid()[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
-        hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
+        bounds = (x, y), (x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution)
         options: Any = {"unknown_is_free": unknown_is_free, "interpolation": interpolation}
-        return RasterCost.from_occupancy_grid(
-            grid, ((x, y), hi), cost_travel_multiplier=cost_travel_multiplier, **options
-        )
+        return RasterCost.from_occupancy_grid(grid, bounds, cost_travel_multiplier=cost_travel_multiplier, **options)
 
 
 @dataclass(frozen=True, eq=False)
