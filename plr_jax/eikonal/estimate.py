@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Int8
 from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._types import Reach
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Points, Sides, beside, carried_goals, nearest_goals
+from plr_jax._types import Points, Reach
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, beside, carried_goals, nearest_goals, shortest_paths
 from plr_jax.eikonal.march import IsOpen, VoxelGroups, extrapolated, has_coarse_grid, marched, start_of_march
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
@@ -44,7 +42,6 @@ _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 _RADIUS = {1: 100.0, 2: 32.0, 3: 12.0}  # of balls around goals, in shortest steps, by the number of axes
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
 Shape = tuple[int, ...]
-Rows = Int[np.ndarray, " n"]  # flat indices of nodes
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
 # Costs of motions at points: a factor of the norm, and perhaps two vectors: the larger scalar product is added.
@@ -192,7 +189,7 @@ def grid_estimate(
     straight, known_goal = np.full(shape, np.inf), np.full(shape, -1)
     sees_nearest, is_seen = np.zeros(shape, bool), np.zeros(len(goals), bool)
 
-    def in_sight(rows: Rows, goal: GoalIndex) -> tuple[Rows, Points]:
+    def in_sight(rows: Int[np.ndarray, " n"], goal: Any) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m dim"]]:
         # Of the nodes in `rows`, those from which the straight motion to a goal is short and free, and this motion.
         change = domain.difference(goals[goal], flat[rows])
         is_near = np.linalg.norm(change, axis=1) < sight
@@ -391,7 +388,7 @@ def _stencil_paths(
     """
     # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.
-    domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
+    domain, motion_cost, shape = space.domain, space.motion_cost, is_open.shape
     factor, pulls = rates
     farthest = max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)
     is_clear: Any = cells == CellState.FREE
@@ -421,15 +418,6 @@ def _stencil_paths(
                 mean = None if pulls is None else (pulls[:, tail] + pulls[:, head]) / 2
                 cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
                 edges.append((tail, head, cost))
-    # 3. Edges from nodes to goals; goal k has the index num + k. Without such an edge, goal 0 has no edges.
-    near = np.flatnonzero(np.isfinite(straight).ravel())
-    last = num + goal.ravel()[near]
-    goals = np.unique(np.append(last, num))
-    size = int(goals[-1]) + 1
-    edges.append((near, last, straight.ravel()[near]))
-    begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
-    # 4. Dijkstra's algorithm from all goals, along edges in reverse: rows of the graph are the ends of edges.
-    graph = csr_array((np.maximum(cost, np.finfo(float).tiny), (end, begin)), shape=(size, size))
-    result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
-    to_goals, _, source = (rows[:num].reshape(shape) for rows in result)
-    return to_goals, np.where(np.isfinite(to_goals), source - num, -1)
+    # 3. Shortest paths over these edges.
+    to_goals, goal = shortest_paths(edges, straight.ravel(), goal.ravel())
+    return to_goals.reshape(shape), goal.reshape(shape)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy.sparse import csr_array, eye_array
+from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import spsolve_triangular
 from scipy.spatial import KDTree
 
@@ -17,6 +18,7 @@ from plr_jax.spaces import MotionCost
 Points = Float[np.ndarray, "n dim"]
 Goals = Float[np.ndarray, "goals dim"]
 # Values of the nodes of a grid of any shape, and the grid's step along each axis.
+Edges = list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"], Float[np.ndarray, " _"]]]
 GoalIndex = Int[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
@@ -50,8 +52,34 @@ def nearest_goals(
     return distance, index.astype(np.int64)
 
 
+def shortest_paths(
+    edges: Edges, straight: Float[np.ndarray, " n"], goal: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return the cost of each node's shortest path over edges to a goal, and the index of this goal.
+
+    Without a path, the cost is ``inf`` and the index -1.
+
+    Args:
+        edges: Nodes at which edges begin, nodes at which they end, and their costs. There must be no two edges from
+            one node to another.
+        straight: The cost of a motion from each node to a goal, with which a path may end; ``inf`` if there is none.
+        goal: The index of the goal of this motion.
+    """
+    # 1. Goal k has the number n + k. Without such a motion, goal 0 has no edges.
+    num = len(straight)
+    near = np.flatnonzero(np.isfinite(straight))
+    goals = np.unique(np.append(num + goal[near], num))
+    begin, end, cost = map(np.concatenate, zip(*edges, (near, num + goal[near], straight[near]), strict=True))
+    # 2. Dijkstra's algorithm from all goals, along edges in reverse: rows of the graph are the ends of edges. A
+    #    sparse matrix has no edges of length 0.
+    graph = csr_array((np.maximum(cost, np.finfo(float).tiny), (end, begin)), shape=(goals[-1] + 1,) * 2)
+    result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
+    to_goals, _, source = (of_node[:num] for of_node in result)
+    return to_goals, np.where(np.isfinite(to_goals), source - num, -1)
+
+
 def beside(
-    values: Shaped[np.ndarray, "*shape"], step: int, axis: int, wraps: bool, outside: float
+    values: Shaped[np.ndarray, "*shape"], step: int, axis: int, wraps: bool, outside: bool | float
 ) -> Shaped[np.ndarray, "*shape"]:
     """Return, for each grid node, the value of its neighbor before (``step`` 1) or after it (-1) along an axis.
 

@@ -15,10 +15,8 @@ import numpy as np
 import skfmm
 from jaxtyping import Bool, Float
 from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, beside
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, beside, shortest_paths
 from plr_jax.geometry.box import Box
 
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
@@ -30,6 +28,7 @@ _LARGEST_CHANGE = 0.02
 _WIDE = 5  # groups along each axis of this cube
 _RANKS = 2  # shares are rounded to so many steps
 IsOpen = Bool[np.ndarray, "*shape"]
+Voxels = Bool[np.ndarray, "..."]
 
 
 def start_of_march(
@@ -180,16 +179,14 @@ class VoxelGroups:
 
     box: Box  # of all groups; it may extend beyond the voxels
     size: int
-    free: Bool[np.ndarray, "..."]  # whether each voxel of the groups is free
-    part: Bool[np.ndarray, "..."]  # whether each voxel belongs to the part of its group
-    has_part: Bool[np.ndarray, "*shape"]  # whether each group has a free voxel
-    is_open: Bool[np.ndarray, "*shape"]
+    free: Voxels  # whether each voxel of the groups is free
+    part: Voxels  # whether each voxel belongs to the part of its group
+    has_part: IsOpen  # whether each group has a free voxel
+    is_open: IsOpen
     middles: Float[np.ndarray, "*shape dim"]  # of the voxels ``x``, or of groups without a free voxel
 
     @classmethod
-    def of(
-        cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
-    ) -> "VoxelGroups":
+    def of(cls, free: Voxels, domain: Box, box: Box, shape: tuple[int, ...], goals: Goals) -> "VoxelGroups":
         """Group the ``free`` and blocked voxels of a domain.
 
         ``shape`` is the number of groups along each axis, and ``box`` contains all groups. The node of a group that
@@ -298,22 +295,17 @@ class VoxelGroups:
             target = np.asarray(np.ravel_multi_index(tuple(beside[inside].T), self.free.shape))
             place = np.searchsorted(flat, target)
             joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == target)  # targets in `flat`, which ascends
-            edges.append((inside[joined], place[joined], side[axis] * slowness[group][inside[joined]]))
-        # 3. Dijkstra's algorithm from one more node, `num`, which has an edge to each start. A sparse matrix has no
-        #    edges of length 0.
-        starts = np.flatnonzero(np.isfinite(start))
-        edges.append((np.full(len(starts), num), starts, start[starts]))
-        begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))
-        graph = csr_array((np.maximum(length, np.finfo(float).tiny), (begin, end)), (num + 1, num + 1))
-        distance: Any = dijkstra(graph, indices=num)
+            edges.append((place[joined], inside[joined], side[axis] * slowness[group][inside[joined]]))
+        # 3. Shortest paths, as if all starts were motions to one goal.
+        distance, _ = shortest_paths(edges, start, np.zeros(num, int))
         missed_cost, others = np.full(cost.shape, np.inf), np.full(cost.shape, np.inf)
         in_part = np.flatnonzero(self.part[tuple(voxel.T)])
         np.minimum.at(missed_cost, tuple(voxel[in_part].T // size), distance[in_part])
-        np.minimum.at(others, group, distance[:num])
+        np.minimum.at(others, group, distance)
         return missed_cost, others
 
 
-def _blocks(voxels: Bool[np.ndarray, "..."], size: int) -> Bool[np.ndarray, "..."]:
+def _blocks(voxels: Voxels, size: int) -> Voxels:
     # A view with the axes of groups first, then the axes of voxels within a group. From (8, 6) voxels and size 2:
     # (4, 2, 3, 2), then (4, 3, 2, 2).
     parts = [n for num in voxels.shape for n in (num // size, size)]

@@ -86,7 +86,7 @@ class PathTree:
         first_source = len(self.next_node) - len(self.ends)
         num_corners = first_source - rows * columns
         # 1. Follow the next nodes up to a source.
-        row, column = (center / self.side).astype(int)[::-1]
+        row, column = (center / self.side).astype(int)[::-1].tolist()
         *nodes, last = path_from_root(self.next_node, num_corners + row * columns + column)[::-1]
         if last < first_source:
             return np.empty((0, 2))

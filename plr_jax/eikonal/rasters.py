@@ -140,18 +140,16 @@ def cost_distance(
         cost = np.where(np.isfinite(rise), cost, np.inf)
     points = _as_sources(sources, costs, cost, box, flips)
     # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
-    lower = upper = plr = tree = None
+    plr = tree = None
     if rise is None:
         parts = raster_search.parts_of_cells(cost, side)  # rows and columns of parts, about square, of each cell
         num_cells = cost.size * int(parts.prod())
         if as_bool("bounds", bounds) and num_cells > MOST_ON_REQUEST:
             raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
         if bounds or num_cells <= MOST_CELLS:
-            (distance, nearest, *proven), tree = raster_search.search_finely(cost, side, points, parts, bounds)
-            if bounds:
-                lower, upper = proven
+            results, tree = raster_search.search_finely(cost, side, points, parts, bounds)
         else:
-            distance, nearest = raster_search.march(cost, side, points)
+            results = raster_search.march(cost, side, points)
     else:
         slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
@@ -159,23 +157,20 @@ def cost_distance(
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
         is_reversed = as_bool("from_sources", from_sources)
         distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_fn, is_reversed)
+        results = distance, nearest
     if max_bytes is not None:
-        plr = construct(GridField(distance, box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
+        plr = construct(GridField(results[0], box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
     # 3. Results in the order and with the coordinates of the given raster: `flips` applied again.
-    def like_costs(name: str, values: np.ndarray | None) -> Any:
-        if values is None or not is_data_array(costs):
-            return values if values is None else values[flips]
-        result = costs.copy(data=values[flips]).rename(name)
-        result.attrs, result.encoding = (
-            {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
-        )
-        if name == "nearest":
-            result.attrs["_FillValue"] = -1  # files then know that -1 is no source
-        return result
-
-    tables = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
-    return CostDistance(**{name: like_costs(name, tables[name]) for name in tables}, plr=plr, _box=box, _tree=tree)
+    tables: list[Any] = [table[flips] for table in results]
+    if is_data_array(costs):
+        for k, name in enumerate(("distance", "nearest", "lower", "upper")[: len(tables)]):
+            tables[k] = costs.copy(data=tables[k]).rename(name)
+            tables[k].attrs, tables[k].encoding = (
+                {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
+            )
+        tables[1].attrs["_FillValue"] = -1  # files then know that -1 is no nearest source
+    return CostDistance(*tables, plr=plr, _box=box, _tree=tree)
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:

@@ -400,7 +400,9 @@ class SparseTable:
         shape = np.array(self.values.shape)
         side, num_entries = np.ones_like(shape), 0
         levels = [(side, self.values, self.values)]
-        least, most = _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
+        single = self.values.astype(np.float32)
+        least = np.where(single > self.values, np.nextafter(single, np.float32(-np.inf)), single)
+        most = np.where(single < self.values, np.nextafter(single, np.float32(np.inf)), single)
         while (side < shape).any() and num_entries < _MAX_ENTRIES:
             step = np.minimum(side, shape - side)  # doubles the side, up to the whole axis
             least, most = _merge_windows(np.minimum, least, step), _merge_windows(np.maximum, most, step)
@@ -416,10 +418,3 @@ def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, " r
         along = np.moveaxis(windows, axis, 0)
         windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)
     return np.ascontiguousarray(windows)
-
-
-def _as_float32(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
-    """Round to float32 upward if ``toward`` is ``inf``, downward if it is ``-inf``."""
-    single = values.astype(np.float32)
-    wrong = single < values if toward > 0 else single > values
-    return np.where(wrong, np.nextafter(single, np.float32(toward)), single)
