@@ -134,11 +134,8 @@ def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Point
     # The cost-to-go has a kink at each goal. Its quotient by the straight cost to the nearest goal has none.
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
-    costs = (
-        _straight_costs(space, at_goals, np.full(len(x), index), space.domain.difference(goal, x))
-        for index, goal in enumerate(goals)
-    )
-    return reduce(np.minimum, costs)
+    motions = ((np.full(len(x), k), space.domain.difference(goal, x)) for k, goal in enumerate(goals))
+    return reduce(np.minimum, (_straight_costs(space, at_goals, index, change) for index, change in motions))
 
 
 def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> bool:
@@ -243,7 +240,9 @@ def grid_estimate(
         if groups is not None:
             cost, closed_cost = groups.completed(cost, slowness)
     else:
-        cost, known_goal = _stencil_paths(space, cells, is_open, flat, at_nodes, straight, known_goal, side)
+        edges = _stencil_edges(space, cells, is_open, flat, at_nodes, side)
+        paths = shortest_paths(edges, straight.ravel(), known_goal.ravel())
+        cost, known_goal = (of_node.reshape(shape) for of_node in paths)
 
     # 5. The ratio of costs to their divisor. At a goal, where both are 0, it is the limit: the factor of the cost
     #    there, or 1 if the divisor has this factor.
@@ -370,23 +369,14 @@ def _nodes_at_walls(
     return closed
 
 
-def _stencil_paths(
-    space: ConfigurationSpace,
-    cells: CellStates,
-    is_open: IsOpen,
-    node: Points,
-    rates: Rates,  # of motions at the nodes
-    straight: Costs,  # of a motion from each node to a goal near it, inf if none is free
-    goal: GoalIndex,  # of that motion
-    side: Sides,
-) -> tuple[Costs, GoalIndex]:
-    """Return the cost of each node's shortest path to a goal over a grid of nodes, and the goal's index.
+def _stencil_edges(
+    space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Points, rates: Rates, side: Sides
+) -> list[Any]:
+    """Return edges between open nodes of a grid along free motions: where they begin and end, and their costs.
 
-    A path follows edges between nodes, then a straight motion to a goal. An edge changes one group of axes of the
-    motion cost, obliquely too, by up to ``_REACH`` steps along each axis. Without a path, the cost is ``inf`` and the
-    index -1.
+    An edge changes one group of axes of the motion cost, such as the axes of the position, obliquely too, by up to
+    ``_REACH`` steps along each axis. ``rates`` are the costs of motions at nodes.
     """
-    # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape = space.domain, space.motion_cost, is_open.shape
     factor, pulls = rates
@@ -418,6 +408,4 @@ def _stencil_paths(
                 mean = None if pulls is None else (pulls[:, tail] + pulls[:, head]) / 2
                 cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
                 edges.append((tail, head, cost))
-    # 3. Shortest paths over these edges.
-    to_goals, goal = shortest_paths(edges, straight.ravel(), goal.ravel())
-    return to_goals.reshape(shape), goal.reshape(shape)
+    return edges

@@ -126,25 +126,18 @@ def search_finely(
     part_side = side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, part_side, points)
     results = [distance, nearest]
-    if bounds:
-        assert at_corners is not None
+    if bounds and at_corners is not None:
         results += [_lower_bound(fine, part_side, points, distance, at_corners), distance * (1 + _ROUNDING)]
     return [table[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for table in results], tree
 
 
 def search(
-    cost: Raster,
-    side: Sides,
-    points: Points,
-    height: Raster | None = None,
-    slope_fn: Slope = np.ones_like,
-    from_sources: bool = False,
+    cost: Raster, side: Sides, points: Points, height: Raster | None = None, slope_fn: Slope = np.ones_like
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
     """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
     ``side`` is the width and height of a cell. If ``height`` is given, the cost of a motion is multiplied by
-    ``slope_fn(slope)``: the slope (rise over run) of the motion toward the sources, or if ``from_sources`` away from
-    the sources.
+    ``slope_fn(slope)``, with the slope (rise over run) of the motion toward the sources.
 
     Returns:
         The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
@@ -204,7 +197,7 @@ def search(
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
             of_step = length * _mean_along(i, j, half, cost_at)
             if height is not None:
-                of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn, from_sources)
+                of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn)
             end[edges, step], cost_of[edges, step] = end_nodes(half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
@@ -286,8 +279,7 @@ def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     #      +-------+-------+-------+
     #
     cuts = sorted({0.0, 1.0} | {k / abs(n) for n in (i, j) for k in range(1, abs(n)) if (half + k) % 2 == 0})
-    middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]
-    cells = [(floor(row), floor(column)) for row, column in middles]
+    cells = [(floor((half + i * (a + b) / 2) / 2), floor((half + j * (a + b) / 2) / 2)) for a, b in pairwise(cuts)]
     # 2. Add the cost of each piece. Along the border of two cells the cheaper one counts.
     mean: Any = 0.0
     for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
@@ -302,14 +294,11 @@ def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     return mean
 
 
-def _mean_factor(
-    i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope, from_sources: bool
-) -> np.ndarray:
-    """Return, for each cell, the mean of ``slope_fn`` along the motion between it and the cell at offset ``(i, j)``.
+def _mean_factor(i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope) -> np.ndarray:
+    """Return, for each cell, the mean of ``slope_fn`` along the motion to it from the cell at offset ``(i, j)``.
 
-    The motion leads to the cell at the offset if ``from_sources``, else from there back. The motion is cut into
-    ``max(abs(i), abs(j))`` equal parts, and ``slope_fn`` is called with the slope of each part. ``length`` is the
-    motion's length; ``height_at`` returns the heights at an offset from all cells.
+    The motion is cut into ``max(abs(i), abs(j))`` equal parts, and ``slope_fn`` is called with the slope of each
+    part. ``length`` is the motion's length; ``height_at`` returns the heights at an offset from all cells.
     """
     # At the ends of parts, the place along the longer axis is whole. Along the other axis it is between two cells, i0
     # or j0 and the next one: interpolate their heights.
@@ -319,7 +308,7 @@ def _mean_factor(
         beyond = i0 + (rest_i > 0), j0 + (rest_j > 0)
         fraction = max(rest_i, rest_j) / count
         heights.append((1 - fraction) * height_at((i0, j0)) + fraction * height_at(beyond))
-    slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
+    slopes = np.diff(heights, axis=0) * -count / length
     factor = as_numbers("slope_cost's answer", slope_fn(slopes), "numbers")
     if factor.shape not in ((), slopes.shape) or not (factor > 0).all():
         raise ValueError(f"slope_cost must return positive numbers of shape {slopes.shape}, got {shortened(factor)}.")
@@ -407,8 +396,7 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     # 2. March, unless all free cells have a source.
     distance, is_open = np.where(label >= 0, 0.0, np.inf), np.isfinite(cost)
     if (is_open & (label < 0)).any():
-        time = travel_times(front, is_open, cost, side[::-1], (False, False))
-        distance = np.where(label >= 0, 0.0, time)
+        distance = np.where(label >= 0, 0.0, travel_times(front, is_open, cost, side[::-1], (False, False)))
     # 3. Find the nearest source of each cell.
     if len(points) == 1:
         return least * distance, np.where(np.isfinite(distance), 0, -1)

@@ -133,8 +133,8 @@ def cost_distance(
     rise = None if heights is None else raster_values("heights", heights)
     if rise is not None:
         if rise.shape != cost.shape or cost.size > MOST_ON_REQUEST:
-            most = f"shape {cost.shape}, of at most {MOST_ON_REQUEST:,} cells"
-            raise ValueError(f"heights must have {most}, got {rise.shape}.")
+            expected = f"shape {cost.shape}, of at most {MOST_ON_REQUEST:,} cells"
+            raise ValueError(f"heights must have {expected}, got {rise.shape}.")
         _require_aligned("heights", heights, costs)
         rise = rise[flips]
         cost = np.where(np.isfinite(rise), cost, np.inf)
@@ -155,8 +155,8 @@ def cost_distance(
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
-        is_reversed = as_bool("from_sources", from_sources)
-        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_fn, is_reversed)
+        slope_to_source = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
+        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_to_source)
         results = distance, nearest
     if max_bytes is not None:
         plr = construct(GridField(results[0], box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)

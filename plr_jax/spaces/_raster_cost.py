@@ -386,11 +386,11 @@ class SparseTable:
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, index = ragged_indices(totals)
-        begin = np.empty((len(block), counts.shape[1]), np.intp)
-        for axis in range(counts.shape[1]):
+        window = np.zeros(len(block), np.intp)  # flat index of each window
+        for axis, num in enumerate(least.shape):
             index, step = np.divmod(index, counts[block, axis])
-            begin[:, axis] = np.minimum(first[block, axis] + step * side[axis], last[block, axis] - side[axis] + 1)
-        window = np.ravel_multi_index(tuple(begin.T), least.shape)
+            begin = np.minimum(first[block, axis] + step * side[axis], last[block, axis] - side[axis] + 1)
+            window = window * num + begin
         starts = np.cumsum(totals) - totals
         return np.minimum.reduceat(least.take(window), starts), np.maximum.reduceat(most.take(window), starts)
 
