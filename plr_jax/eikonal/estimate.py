@@ -216,7 +216,7 @@ def grid_estimate(
     # 4. The cost-to-go of all nodes, by marching from balls around goals, or by paths over a stencil.
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
-        walled = np.zeros(shape, bool) if groups is not None else _nodes_at_walls(space, cells, is_open, node, side)
+        walled = np.zeros(shape, bool) if groups is not None else _walled_nodes(space, cells, is_open, node, side)
         is_open &= ~walled
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
             # Paths may pass where obstacles touch, so the four nodes around a contact are open.
@@ -324,8 +324,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     blocks = np.moveaxis(np.indices([-(-n // _BLOCK) for n in shape]), 0, -1)
     lo, hi = (np.minimum((blocks.reshape(-1, len(shape)) + end) * _BLOCK, shape) for end in (0, 1))
     state = classified(lo, hi).reshape(blocks.shape[:-1])
-    for axis, n in enumerate(shape):
-        state = np.take(state, np.arange(n) // _BLOCK, axis=axis)
+    state = state[np.ix_(*(np.arange(n) // _BLOCK for n in shape))]
     mixed = np.argwhere(state == CellState.MIXED)
     state[tuple(mixed.T)] = classified(mixed, mixed + 1)
     is_open = state == CellState.FREE
@@ -349,9 +348,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     return state, is_open, is_clear
 
 
-def _nodes_at_walls(
-    space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
-) -> IsOpen:
+def _walled_nodes(space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides) -> IsOpen:
     """Return one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import spsolve_triangular
@@ -22,6 +22,7 @@ Edges = list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"], Float[np.ndarra
 GoalIndex = Int[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
+Wraps = tuple[bool, ...]  # whether each axis is periodic
 WhichGoal = Callable[[Points], Int[np.ndarray, " n"]]  # from points to the indices of the goals of their paths
 _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
@@ -78,9 +79,7 @@ def shortest_paths(
     return to_goals, np.where(np.isfinite(to_goals), source - num, -1)
 
 
-def beside(
-    values: Shaped[np.ndarray, "*shape"], step: int, axis: int, wraps: bool, outside: bool | float
-) -> Shaped[np.ndarray, "*shape"]:
+def beside(values: np.ndarray, step: int, axis: int, wraps: bool, outside: bool | float) -> np.ndarray:
     """Return, for each grid node, the value of its neighbor before (``step`` 1) or after it (-1) along an axis.
 
     Unless the axis ``wraps`` around, nodes of the first or last layer have no such neighbor, and get ``outside``.
@@ -91,9 +90,7 @@ def beside(
     return result
 
 
-def carried_goals(
-    cost: Costs, known_goal: GoalIndex, side: Sides, periodic: tuple[bool, ...], num_goals: int
-) -> GoalIndex:
+def carried_goals(cost: Costs, known_goal: GoalIndex, side: Sides, periodic: Wraps, num_goals: int) -> GoalIndex:
     """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 
     ``cost`` is the cost-to-go of each node. ``known_goal`` is the result for nodes where it is already known, and -1

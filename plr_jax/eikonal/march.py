@@ -16,7 +16,7 @@ import skfmm
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, beside, shortest_paths
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, Wraps, beside, shortest_paths
 from plr_jax.geometry.box import Box
 
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
@@ -76,9 +76,7 @@ def start_of_march(
     return start, max(level, float(cheapest[np.isfinite(cheapest)].max(initial=-np.inf)))
 
 
-def marched(
-    is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
-) -> Costs:
+def marched(is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: Wraps) -> Costs:
     """Return the costs-to-go of grid nodes, by fast marching from the nodes where ``start`` is at most ``level``.
 
     ``start`` is the known cost-to-go of each node, ``inf`` where unknown. ``is_open`` marks the nodes that paths may
@@ -114,7 +112,7 @@ def marched(
     return np.where(is_core, start, time + level)
 
 
-def travel_times(front: Costs, is_open: IsOpen, slowness: Costs, side: Sides, periodic: tuple[bool, ...]) -> Costs:
+def travel_times(front: Costs, is_open: IsOpen, slowness: Costs, side: Sides, periodic: Wraps) -> Costs:
     """Return the costs of motions to grid nodes from the surface where ``front``, linear between nodes, is 0.
 
     Nodes that are not open have the cost ``inf``, and so have nodes that cannot be reached. ``slowness`` is the cost

@@ -59,8 +59,8 @@ Nodes = Int[np.ndarray, "_ _"]  # numbers of nodes: corners or centers of cells,
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
-# Values of the cells that lie at an offset, in rows and columns, from other cells.
-AtOffset = Callable[[tuple[int, int]], np.ndarray]
+Cell = tuple[int, int]  # row and column, also of an offset between cells
+AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
 
 
 @dataclass(frozen=True)
@@ -218,9 +218,7 @@ def search(
     return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
-def _beside(
-    values: np.ndarray, offset: tuple[int, int], shape: tuple[int, ...], first: tuple[int, int] = (_REACH, _REACH)
-) -> np.ndarray:
+def _beside(values: np.ndarray, offset: Cell, shape: tuple[int, ...], first: Cell = (_REACH, _REACH)) -> np.ndarray:
     # The values of the cells that lie at an offset, in rows and columns, from the cells of a part of a raster, or of
     # a raster without rim. The part has the given shape, and begins at the cell `first`.
     i, j = np.add(first, offset)
