@@ -17,7 +17,7 @@ from jaxtyping import Float, Int, Int8
 from scipy import ndimage
 
 from plr_jax._types import Points, Reach
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, beside, carried_goals, nearest_goals, shortest_paths
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, carried_goals, nearest_goals, rolled, shortest_paths
 from plr_jax.eikonal.march import IsOpen, VoxelGroups, extrapolated, has_coarse_grid, marched, start_of_march
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
@@ -354,7 +354,7 @@ def _walled_nodes(space: ConfigurationSpace, cells: CellStates, is_open: IsOpen,
     for axis, wraps in enumerate(space.domain.periodic):
         # Motions between two open nodes need a test unless both cells are proven free.
         is_free = cells == CellState.FREE
-        is_tested = is_open & beside(is_open, -1, axis, wraps, False) & ~(is_free & np.roll(is_free, -1, axis))
+        is_tested = is_open & rolled(is_open, -1, axis, wraps, False) & ~(is_free & np.roll(is_free, -1, axis))
         unit = np.arange(len(side)) == axis
         begin = np.argwhere(is_tested)
         step = side * unit

@@ -79,7 +79,7 @@ def shortest_paths(
     return to_goals, np.where(np.isfinite(to_goals), source - num, -1)
 
 
-def beside(values: np.ndarray, step: int, axis: int, wraps: bool, outside: bool | float) -> np.ndarray:
+def rolled(values: np.ndarray, step: int, axis: int, wraps: bool, outside: bool | float) -> np.ndarray:
     """Return, for each grid node, the value of its neighbor before (``step`` 1) or after it (-1) along an axis.
 
     Unless the axis ``wraps`` around, nodes of the first or last layer have no such neighbor, and get ``outside``.
@@ -105,7 +105,7 @@ def carried_goals(cost: Costs, known_goal: GoalIndex, side: Sides, periodic: Wra
     known_goal = known_goal.ravel()[order]
     neighbor, weights = [], []
     for axis, wraps in enumerate(periodic):
-        before, after = (beside(cost, step, axis, wraps, np.inf) for step in (1, -1))
+        before, after = (rolled(cost, step, axis, wraps, np.inf) for step in (1, -1))
         toward = np.where(before <= after, np.roll(rank, 1, axis), np.roll(rank, -1, axis))
         neighbor.append(toward.ravel()[order])
         fall = np.maximum(cost.ravel()[order] - np.minimum(before, after).ravel()[order], 0.0)

@@ -16,7 +16,7 @@ import skfmm
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, Wraps, beside, shortest_paths
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, Wraps, rolled, shortest_paths
 from plr_jax.geometry.box import Box
 
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
@@ -93,7 +93,7 @@ def marched(is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: 
     for axis, wraps in enumerate(periodic):
         is_cut = np.zeros(is_open.shape, bool)
         for step in (1, -1):
-            cut = is_open & beside(is_open, step, axis, wraps, False) & (is_core != np.roll(is_core, step, axis))
+            cut = is_open & rolled(is_open, step, axis, wraps, False) & (is_core != np.roll(is_core, step, axis))
             is_cut |= cut
             step_cost = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
             unknown = cut & np.isinf(start)

@@ -53,9 +53,7 @@ _RELAXATION = 1.5  # step of a round, as a multiple of the step that projections
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
-Padded = Float[np.ndarray, "padded_rows padded_columns"]  # with a rim of `_REACH` cells
 Nearest = Int[np.ndarray, "rows columns"]
-Nodes = Int[np.ndarray, "_ _"]  # numbers of nodes: corners or centers of cells, row by row
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
@@ -145,7 +143,9 @@ def search(
     """
     # 1. Pad costs with a rim of barriers, so that edges may leave the raster.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
-    home, (rows, columns), is_open = cells_of(points, side, cost.shape), cost.shape, np.isfinite(cost)
+    rows, columns = cost.shape
+    home = cells_of(points, side, cost.shape)
+    is_open = np.isfinite(cost)
     cost = np.pad(cost, _REACH, constant_values=np.inf)
     # 2. Number the nodes: corners of cells (`nodes[0]`, none with heights), then centers (`nodes[1]`), then sources.
     num_corners = (rows + 1) * (columns + 1) if height is None else 0
@@ -179,7 +179,7 @@ def search(
     #    it, times the mean factor of its parts' slopes. Fill the arrays in place, as they take most of the memory.
     numbers = {half: np.pad(of_half, _REACH, mode="edge") for half, of_half in nodes.items()}
 
-    def end_nodes(half: int, i: int, j: int) -> Nodes:
+    def end_nodes(half: int, i: int, j: int) -> np.ndarray:
         # The nodes to which a step leads from all corners (`half` is 0) or centers (1) of cells. From a node at the
         # place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2. Where the edge
         # leaves the raster, any node will do: its cost is infinite.
@@ -226,12 +226,13 @@ def _beside(values: np.ndarray, offset: Cell, shape: tuple[int, ...], first: Cel
 
 
 def _straight_costs(
-    cost: Padded, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
+    cost: Raster, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
     Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
-    cell. ``home`` has the row and column of this cell. A motion through a barrier costs ``inf``.
+    cell. ``home`` has the row and column of this cell. ``cost`` has a rim of ``_REACH`` cells. A motion through a
+    barrier costs ``inf``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
@@ -366,9 +367,9 @@ def _lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, 
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
     # 5. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
     #    there.
-    row, column = home = tuple(cells_of(points, side, cost.shape).T)
+    row, column = cells_of(points, side, cost.shape).T
     to_center = np.linalg.norm(points - (np.stack([column, row], axis=1) + 0.5) * side, axis=1)
-    at_sources = np.max(lower[home] + cost[home] * to_center)
+    at_sources = np.max(lower[row, column] + cost[row, column] * to_center)
     lower = np.maximum(lower - at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
     return np.where(np.isfinite(at_centers), least * lower, np.inf)
 
@@ -392,7 +393,8 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     label[home] = np.arange(len(points))[::-1]
     front = np.where(label >= 0, -_TINY * side.min(), side.min())
     # 2. March, unless all free cells have a source.
-    distance, is_open = np.where(label >= 0, 0.0, np.inf), np.isfinite(cost)
+    is_open = np.isfinite(cost)
+    distance = np.where(label >= 0, 0.0, np.inf)
     if (is_open & (label < 0)).any():
         distance = np.where(label >= 0, 0.0, travel_times(front, is_open, cost, side[::-1], (False, False)))
     # 3. Find the nearest source of each cell.

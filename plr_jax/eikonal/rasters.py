@@ -164,11 +164,10 @@ def cost_distance(
     # 3. Results in the order and with the coordinates of the given raster: `flips` applied again.
     tables: list[Any] = [table[flips] for table in results]
     if is_data_array(costs):
+        kept = [{key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)]
         for k, name in enumerate(("distance", "nearest", "lower", "upper")[: len(tables)]):
             tables[k] = costs.copy(data=tables[k]).rename(name)
-            tables[k].attrs, tables[k].encoding = (
-                {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
-            )
+            tables[k].attrs, tables[k].encoding = kept
         tables[1].attrs["_FillValue"] = -1  # files then know that -1 is no nearest source
     return CostDistance(*tables, plr=plr, _box=box, _tree=tree)
 

@@ -285,7 +285,7 @@ class RasterCost:
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
         # 1. Convert to units of cells, and enlarge by rounding errors.
-        sizes, periodic = self._sizes, self.domain.periodic
+        sizes = self._sizes
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
         rounding = _COORDINATE_ROUNDING * (sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - rounding, last + rounding
@@ -293,8 +293,8 @@ class RasterCost:
         #    period becomes the whole period. Along other axes, clip to the coordinates of the outer cells.
         shift = np.floor(first / sizes) * sizes
         is_whole = last - first >= sizes
-        lower = np.where(periodic, np.where(is_whole, 0, first - shift), np.clip(first, 0, sizes - 1))
-        upper = np.where(periodic, np.where(is_whole, sizes, last - shift), np.clip(last, 0, sizes - 1))
+        lower = np.where(self.domain.periodic, np.where(is_whole, 0, first - shift), np.clip(first, 0, sizes - 1))
+        upper = np.where(self.domain.periodic, np.where(is_whole, sizes, last - shift), np.clip(last, 0, sizes - 1))
         return lower, upper
 
     @property
