@@ -17,10 +17,10 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from plr_jax.eikonal.mesh import Mesh
+from plr_jax.geometry.graph import connected_groups
 from plr_jax.plr.leaf_faces import eliminate_constraints, face_points, resolve_constraints
 
 _MOST_WEIGHTS_OF_NODE = 2**8  # additions for each group of nodes in the elimination of step 3, which bounds its time
@@ -156,8 +156,8 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     # 2. Number groups of nodes that are one, and express hanging groups by free ones: a hanging group's value is the
     #    sum over the cell's nodes of the basis function at its place times the value of the node's group. Groups are
     #    replaced until only free ones remain: row i of `resolved` has their weights in the value of group i.
-    tied = coo_array((np.ones(same.shape[1], bool), tuple(same)), (num_nodes, num_nodes))
-    num_groups, group = connected_components(tied, directed=False)
+    group = connected_groups(num_nodes, same)
+    num_groups = int(group.max()) + 1
     of_hanging, first = np.unique(group[hanging], return_index=True)
     entries = np.repeat(of_hanging, size), group[_nodes_of_cells(on_cell[first], size)]
     sums = csr_array((basis(degree, at[first]).ravel(), entries), (num_groups, num_groups))

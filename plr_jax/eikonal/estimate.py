@@ -7,25 +7,24 @@ these costs are up to a few percent too high. Walls are moved to the nearest nod
 """
 
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import product
+from functools import cached_property, reduce
+from itertools import count, product
 from math import gcd
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Int8
 from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._types import Reach
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Points, Sides, carried_goals, nearest_goals
-from plr_jax.eikonal.march import IsOpen, NearGoals, VoxelGroups, extrapolated, has_coarse_grid, marched
+from plr_jax._types import Points, Reach
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, carried_goals, nearest_goals, rolled, shortest_paths
+from plr_jax.eikonal.march import IsOpen, VoxelGroups, extrapolated, has_coarse_grid, marched, start_of_march
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import CellState, ConfigurationSpace, PlaneSpace, RasterCost, VoxelSpace
 from plr_jax.spaces._costs import CostMap, DirectionalCost, motion_costs, point_costs, pulled
+from plr_jax.spaces._raster_cost import nearest_cells
 
 MOST_AXES = 3
 # Default numbers of nodes by the number of axes.
@@ -121,8 +120,7 @@ class GridEstimate:
         goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
             return np.zeros_like(goal)
-        nearest: Any = ndimage.distance_transform_edt(goal < 0, side, return_distances=False, return_indices=True)
-        return goal[tuple(nearest)]
+        return goal[nearest_cells(goal >= 0, side)]
 
 
 def _straight_costs(
@@ -136,11 +134,8 @@ def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Point
     # The cost-to-go has a kink at each goal. Its quotient by the straight cost to the nearest goal has none.
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
-    least = np.full(len(x), np.inf)
-    for goal_index in range(len(goals)):
-        index = np.full(len(x), goal_index)
-        least = np.minimum(least, _straight_costs(space, at_goals, index, space.domain.difference(goals[index], x)))
-    return least
+    motions = ((np.full(len(x), k), space.domain.difference(goal, x)) for k, goal in enumerate(goals))
+    return reduce(np.minimum, (_straight_costs(space, at_goals, index, change) for index, change in motions))
 
 
 def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> bool:
@@ -189,20 +184,19 @@ def grid_estimate(
     radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
     sight = radius + 2 * np.linalg.norm(side)  # largest length of such motions
     straight, known_goal = np.full(shape, np.inf), np.full(shape, -1)
-    lengths, sees_nearest, is_seen = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(len(goals), bool)
+    sees_nearest, is_seen = np.zeros(shape, bool), np.zeros(len(goals), bool)
+
+    def in_sight(rows: Int[np.ndarray, " n"], goal: Any) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m dim"]]:
+        # Of the nodes in `rows`, those from which the straight motion to a goal is short and free, and this motion.
+        change = domain.difference(goals[goal], flat[rows])
+        is_near = np.linalg.norm(change, axis=1) < sight
+        rows, change = rows[is_near], change[is_near]
+        sees = space.are_free(flat[rows], flat[rows] + change)
+        return rows[sees], change[sees]
+
     for rank, goal_of_node in enumerate(nearest.T):
-        rows = np.arange(len(flat))
-        if rank:
-            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * sight))
-        to_goal = domain.difference(goals[goal_of_node[rows]], flat[rows])
-        length = np.linalg.norm(to_goal, axis=1)
-        is_near = is_open.ravel()[rows] & (length < sight)
-        near, change = rows[is_near], to_goal[is_near]
-        sees = space.are_free(flat[near], flat[near] + change)
-        near, change = near[sees], change[sees]
-        if rank == 0:
-            lengths = length.reshape(shape)
-            sees_nearest.ravel()[near] = True
+        rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * sight))
+        near, change = in_sight(rows, goal_of_node[rows])
         goal = goal_of_node[near]
         is_seen[goal] = True
         # The rate of costs is the mean of the rates at both ends, with a cost map also at the middle (Simpson's
@@ -214,18 +208,15 @@ def grid_estimate(
         is_better = costs < straight.ravel()[near]
         straight.ravel()[near[is_better]] = costs[is_better]
         known_goal.ravel()[near[is_better]] = goal[is_better]
-
-    if len(goals) > _NEAR_GOALS:  # other goals may be nearer to all nodes
-        open_nodes = flat[is_open.ravel()]
-        for goal in np.flatnonzero(~is_seen):
-            change = domain.difference(goals[goal], open_nodes)
-            is_near = np.linalg.norm(change, axis=1) < sight
-            is_seen[goal] = space.are_free(open_nodes[is_near], open_nodes[is_near] + change[is_near]).any()
+        if rank == 0:
+            sees_nearest.ravel()[near] = True
+    for goal in np.flatnonzero(~is_seen):  # other goals may be nearer to all nodes
+        is_seen[goal] = len(in_sight(np.flatnonzero(is_open), goal)[0]) > 0
 
     # 4. The cost-to-go of all nodes, by marching from balls around goals, or by paths over a stencil.
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
-        walled = np.zeros(shape, bool) if groups is not None else _nodes_at_walls(space, cells, is_open, node, side)
+        walled = np.zeros(shape, bool) if groups is not None else _walled_nodes(space, cells, is_open, node, side)
         is_open &= ~walled
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
             # Paths may pass where obstacles touch, so the four nodes around a contact are open.
@@ -235,8 +226,9 @@ def grid_estimate(
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         slowness = motion_cost.blocks[0][1] * factor
         at_goal = motion_cost.blocks[0][1] * at_nearest
-        near_goals = NearGoals(straight, known_goal, lengths, sees_nearest, at_goal, radius)
-        start, level = near_goals.start_of_march(is_open, slowness, side)
+        lengths = np.linalg.norm(domain.difference(goals[nearest[:, 0]], flat), axis=1).reshape(shape)
+        is_in_sight = sees_nearest & (lengths < radius)
+        start, level = start_of_march(is_open, slowness, side, straight, known_goal, at_goal, lengths, is_in_sight)
         cost = marched(is_open, slowness, start, level, side, domain.periodic)
         if cost_map is None:
             cost = np.minimum(cost, straight)
@@ -248,7 +240,9 @@ def grid_estimate(
         if groups is not None:
             cost, closed_cost = groups.completed(cost, slowness)
     else:
-        cost, known_goal = _stencil_paths(space, cells, is_open, node, (factor, pulls), straight, known_goal, side)
+        edges = _stencil_edges(space, cells, is_open, flat, at_nodes, side)
+        paths = shortest_paths(edges, straight.ravel(), known_goal.ravel())
+        cost, known_goal = (of_node.reshape(shape) for of_node in paths)
 
     # 5. The ratio of costs to their divisor. At a goal, where both are 0, it is the limit: the factor of the cost
     #    there, or 1 if the divisor has this factor.
@@ -290,9 +284,7 @@ def _grid(
     num_nodes = min(max(num_nodes, usual[domain.dim]), most)
     # 2. The centers of given cells, of their parts, or of groups of `size` cells along each axis.
     if cells is not None:
-        size = 1
-        while np.prod(-(-cells // size), dtype=float) > most:
-            size += 2
+        size = next(size for size in count(1, 2) if np.prod(-(-cells // size), dtype=float) <= most)
         shape = -(-cells // size)
         if size == 1:
             shape *= 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
@@ -332,8 +324,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     blocks = np.moveaxis(np.indices([-(-n // _BLOCK) for n in shape]), 0, -1)
     lo, hi = (np.minimum((blocks.reshape(-1, len(shape)) + end) * _BLOCK, shape) for end in (0, 1))
     state = classified(lo, hi).reshape(blocks.shape[:-1])
-    for axis, n in enumerate(shape):
-        state = np.take(state, np.arange(n) // _BLOCK, axis=axis)
+    state = state[np.ix_(*(np.arange(n) // _BLOCK for n in shape))]
     mixed = np.argwhere(state == CellState.MIXED)
     state[tuple(mixed.T)] = classified(mixed, mixed + 1)
     is_open = state == CellState.FREE
@@ -357,17 +348,13 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     return state, is_open, is_clear
 
 
-def _nodes_at_walls(
-    space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
-) -> IsOpen:
+def _walled_nodes(space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides) -> IsOpen:
     """Return one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         # Motions between two open nodes need a test unless both cells are proven free.
         is_free = cells == CellState.FREE
-        is_tested = is_open & np.roll(is_open, -1, axis) & ~(is_free & np.roll(is_free, -1, axis))
-        if not wraps:
-            is_tested[(slice(None),) * axis + (-1,)] = False
+        is_tested = is_open & rolled(is_open, -1, axis, wraps, False) & ~(is_free & np.roll(is_free, -1, axis))
         unit = np.arange(len(side)) == axis
         begin = np.argwhere(is_tested)
         step = side * unit
@@ -379,34 +366,25 @@ def _nodes_at_walls(
     return closed
 
 
-def _stencil_paths(
-    space: ConfigurationSpace,
-    cells: CellStates,
-    is_open: IsOpen,
-    node: Nodes,
-    costs: tuple[Costs, Float[np.ndarray, "2 *shape dim"] | None],
-    straight: Costs,  # of a motion from each node to a goal near it, inf if none is free
-    goal: GoalIndex,  # of that motion
-    side: Sides,
-) -> tuple[Costs, GoalIndex]:
-    """Return the cost of each node's shortest path to a goal over a grid of nodes, and the goal's index.
+def _stencil_edges(
+    space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Points, rates: Rates, side: Sides
+) -> list[Any]:
+    """Return edges between open nodes of a grid along free motions: where they begin and end, and their costs.
 
-    A path follows edges between nodes, then a straight motion to a goal. An edge changes one group of axes of the
-    motion cost, obliquely too, by up to ``_REACH`` steps along each axis. Without a path, the cost is ``inf`` and the
-    index -1.
+    An edge changes one group of axes of the motion cost, such as the axes of the position, obliquely too, by up to
+    ``_REACH`` steps along each axis. ``rates`` are the costs of motions at nodes.
     """
-    # Edges are a few steps long, and change the coordinates of one group of axes, such as the axes of the position.
     # 1. Edges from nodes whose whole stencil is free need no test.
-    domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
-    factor, pulls = costs
+    domain, motion_cost, shape = space.domain, space.motion_cost, is_open.shape
+    factor, pulls = rates
     farthest = max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)
     is_clear: Any = cells == CellState.FREE
     for axis, wraps in enumerate(domain.periodic):
         is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
     # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
-    #    that pass another node. `a` and `b` are the indices, along each axis, of both ends of edges. Costs take the
-    #    mean rate of both ends.
-    node_index, edges = np.arange(num).reshape(shape), []
+    #    that pass another node. `a` and `b` are the flat indices of both ends of edges. Costs take the mean rate of
+    #    both ends.
+    begin, edges = np.argwhere(is_open), []
     for axes, _ in motion_cost.blocks:
         reach = _REACH[len(axes)]
         for offset in product(range(-reach, reach + 1), repeat=len(axes)):
@@ -414,31 +392,17 @@ def _stencil_paths(
                 continue
             step = np.zeros(len(shape), np.int64)
             step[list(axes)] = offset
-            a = np.argwhere(is_open)
-            b = a + step
-            is_inside = (((b >= 0) & (b < shape)) | np.array(domain.periodic)).all(axis=1)
-            a, b = a[is_inside], b[is_inside] % shape
-            is_edge = is_open[tuple(b.T)]
-            a, b = tuple(a[is_edge].T), tuple(b[is_edge].T)
-            change = np.broadcast_to(step * side, (len(a[0]), len(shape)))
-            tested = np.flatnonzero(~is_clear[a])
-            is_free = np.ones(len(a[0]), bool)
-            q = node[a][tested]
-            is_free[tested] = space.are_free(q, q + change[tested])
-            a, b, change = (tuple(rows[is_free] for rows in a), tuple(rows[is_free] for rows in b), change[is_free])
+            end = begin + step
+            is_inside = (((end >= 0) & (end < shape)) | np.array(domain.periodic)).all(axis=1)
+            a, b = (np.ravel_multi_index(tuple(ends[is_inside].T), shape, mode="wrap") for ends in (begin, end))
+            a, b = a[is_open.ravel()[b]], b[is_open.ravel()[b]]
+            tested = a[~is_clear.ravel()[a]]
+            is_free = np.ones(len(a), bool)
+            is_free[~is_clear.ravel()[a]] = space.are_free(node[tested], node[tested] + step * side)
+            a, b = a[is_free], b[is_free]
+            change = np.broadcast_to(step * side, (len(a), len(shape)))
             for tail, head, vector in ((a, b, change), (b, a, -change)):
-                mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
+                mean = None if pulls is None else (pulls[:, tail] + pulls[:, head]) / 2
                 cost = (factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector)
-                edges.append((node_index[tail], node_index[head], cost))
-    # 3. Edges from nodes to goals; goal k has the index num + k. Without such an edge, goal 0 has no edges.
-    near = np.flatnonzero(np.isfinite(straight).ravel())
-    last = num + goal.ravel()[near]
-    goals = np.unique(np.append(last, num))
-    size = int(goals[-1]) + 1
-    edges.append((near, last, straight.ravel()[near]))
-    begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
-    # 4. Dijkstra's algorithm from all goals, along edges in reverse: rows of the graph are the ends of edges.
-    graph = csr_array((np.maximum(cost, np.finfo(float).tiny), (end, begin)), shape=(size, size))
-    result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
-    to_goals, _, source = (rows[:num].reshape(shape) for rows in result)
-    return to_goals, np.where(np.isfinite(to_goals), source - num, -1)
+                edges.append((tail, head, cost))
+    return edges

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, eye_array
+from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import spsolve_triangular
 from scipy.spatial import KDTree
 
@@ -17,9 +18,11 @@ from plr_jax.spaces import MotionCost
 Points = Float[np.ndarray, "n dim"]
 Goals = Float[np.ndarray, "goals dim"]
 # Values of the nodes of a grid of any shape, and the grid's step along each axis.
+Edges = list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"], Float[np.ndarray, " _"]]]
 GoalIndex = Int[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
+Wraps = tuple[bool, ...]  # whether each axis is periodic
 WhichGoal = Callable[[Points], Int[np.ndarray, " n"]]  # from points to the indices of the goals of their paths
 _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
@@ -50,9 +53,44 @@ def nearest_goals(
     return distance, index.astype(np.int64)
 
 
-def carried_goals(
-    cost: Costs, known_goal: GoalIndex, side: Sides, periodic: tuple[bool, ...], num_goals: int
-) -> GoalIndex:
+def shortest_paths(
+    edges: Edges, straight: Float[np.ndarray, " n"], goal: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return the cost of each node's shortest path over edges to a goal, and the index of this goal.
+
+    Without a path, the cost is ``inf`` and the index -1.
+
+    Args:
+        edges: Nodes at which edges begin, nodes at which they end, and their costs. There must be no two edges from
+            one node to another.
+        straight: The cost of a motion from each node to a goal, with which a path may end; ``inf`` if there is none.
+        goal: The index of the goal of this motion.
+    """
+    # 1. Goal k has the number n + k. Without such a motion, goal 0 has no edges.
+    num = len(straight)
+    near = np.flatnonzero(np.isfinite(straight))
+    goals = np.unique(np.append(num + goal[near], num))
+    begin, end, cost = map(np.concatenate, zip(*edges, (near, num + goal[near], straight[near]), strict=True))
+    # 2. Dijkstra's algorithm from all goals, along edges in reverse: rows of the graph are the ends of edges. A
+    #    sparse matrix has no edges of length 0.
+    graph = csr_array((np.maximum(cost, np.finfo(float).tiny), (end, begin)), shape=(goals[-1] + 1,) * 2)
+    result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
+    to_goals, _, source = (of_node[:num] for of_node in result)
+    return to_goals, np.where(np.isfinite(to_goals), source - num, -1)
+
+
+def rolled(values: np.ndarray, step: int, axis: int, wraps: bool, outside: bool | float) -> np.ndarray:
+    """Return, for each grid node, the value of its neighbor before (``step`` 1) or after it (-1) along an axis.
+
+    Unless the axis ``wraps`` around, nodes of the first or last layer have no such neighbor, and get ``outside``.
+    """
+    result = np.roll(values, step, axis)
+    if not wraps:
+        result[(slice(None),) * axis + (0 if step == 1 else -1,)] = outside
+    return result
+
+
+def carried_goals(cost: Costs, known_goal: GoalIndex, side: Sides, periodic: Wraps, num_goals: int) -> GoalIndex:
     """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 
     ``cost`` is the cost-to-go of each node. ``known_goal`` is the result for nodes where it is already known, and -1
@@ -62,21 +100,15 @@ def carried_goals(
     #    along each axis, by weights: the fall of the cost over the squared step. So it leads to smaller ranks.
     open_nodes = np.flatnonzero(np.isfinite(cost))
     order = open_nodes[np.argsort(cost.ravel()[open_nodes], kind="stable")]
-    rank = np.full(cost.size, -1)
-    rank[order] = np.arange(len(order))
+    rank = np.full(cost.shape, -1)
+    rank.ravel()[order] = np.arange(len(order))
     known_goal = known_goal.ravel()[order]
     neighbor, weights = [], []
     for axis, wraps in enumerate(periodic):
-        sides = []
-        for step in (1, -1):
-            beside = np.roll(cost, step, axis)
-            if not wraps:
-                beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.inf
-            sides.append((beside.ravel(), np.roll(rank.reshape(cost.shape), step, axis).ravel()))
-        (before, rank_before), (after, rank_after) = sides
-        least = np.minimum(before, after)[order]
-        fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
-        neighbor.append(np.where(before <= after, rank_before, rank_after)[order])
+        before, after = (rolled(cost, step, axis, wraps, np.inf) for step in (1, -1))
+        toward = np.where(before <= after, np.roll(rank, 1, axis), np.roll(rank, -1, axis))
+        neighbor.append(toward.ravel()[order])
+        fall = np.maximum(cost.ravel()[order] - np.minimum(before, after).ravel()[order], 0.0)
         weights.append(np.where(known_goal < 0, fall / side[axis] ** 2, 0.0))
     weights, neighbor = np.stack(weights), np.stack(neighbor)
     total = weights.sum(axis=0)

@@ -9,16 +9,14 @@ Reference: Sethian, "A fast marching level set method for monotonically advancin
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import skfmm
 from jaxtyping import Bool, Float
 from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides
+from plr_jax.eikonal.goals import Costs, GoalIndex, Goals, Sides, Wraps, rolled, shortest_paths
 from plr_jax.geometry.box import Box
 
 _NEARLY = 1.1  # largest factor by which the costs of nodes in a ball around a goal differ from the cost at the goal
@@ -30,50 +28,55 @@ _LARGEST_CHANGE = 0.02
 _WIDE = 5  # groups along each axis of this cube
 _RANKS = 2  # shares are rounded to so many steps
 IsOpen = Bool[np.ndarray, "*shape"]
+Voxels = Bool[np.ndarray, "..."]
 
 
-@dataclass(frozen=True, eq=False)
-class NearGoals:
-    """The goals near each node of a grid, and balls around all goals in which straight motions may be cheapest."""
+def start_of_march(
+    is_open: IsOpen,
+    slowness: Costs,
+    side: Sides,
+    straight: Costs,
+    goal: GoalIndex,
+    at_nearest: Costs,
+    lengths: Costs,
+    is_in_sight: IsOpen,
+) -> tuple[Costs, float]:
+    """Return the costs-to-go of grid nodes near goals, and the cost at which fast marching starts.
 
-    straight: Costs  # cost of a free straight motion to a goal; inf if none is known
-    goal: GoalIndex  # index of the goal of this motion; -1 if none is known
-    lengths: Costs  # distance to the nearest goal
-    sees_nearest: IsOpen  # whether the straight motion to the nearest goal is free
-    at_nearest: Costs  # cost per unit of length at the nearest goal
-    radius: float  # of the balls
+    The costs-to-go are costs of straight motions to a goal; nodes farther away have ``inf``.
 
-    def start_of_march(self, is_open: IsOpen, slowness: Costs, side: Sides) -> tuple[Costs, float]:
-        """Return the costs-to-go of grid nodes near goals, and the cost at which fast marching starts.
-
-        The costs-to-go are costs of straight motions to a goal; nodes farther away have ``inf``. ``slowness`` is the
-        cost per unit of length at each node, and ``side`` the grid step along each axis.
-        """
-        # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see
-        #    its nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All
-        #    nodes below that cost, and the cheapest node of each goal, get the cost of their straight motion. The
-        #    other nodes count with that cost or, if less, the cost of their distance at the goal's cost per length,
-        #    which is known even if no straight motion is free.
-        straight, goal = self.straight, self.goal
-        differs = (slowness > _NEARLY * self.at_nearest) | (_NEARLY * slowness < self.at_nearest)
-        stops = is_open & (~self.sees_nearest | differs | (self.lengths >= self.radius))
-        largest = np.minimum(straight, self.at_nearest * self.lengths)[stops].min(initial=np.inf)
-        has_goal = goal >= 0
-        cheapest = np.full(goal.max(initial=-1) + 1, np.inf)
-        np.minimum.at(cheapest, goal[has_goal], straight[has_goal])
-        is_cheapest = has_goal & (straight == cheapest[goal]) if has_goal.any() else has_goal
-        start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
-        # 2. March from one step below the largest of these costs, so that nodes on both sides of the first front have
-        #    them; but no goal's cheapest node may lie beyond this front.
-        inside = np.isfinite(start)
-        step = float(slowness[inside].max(initial=0.0) * side.max())
-        level = min(largest, float(start[inside].max(initial=0.0))) - step
-        return start, max(level, float(cheapest[np.isfinite(cheapest)].max(initial=-np.inf)))
+    Args:
+        is_open: Whether paths may pass a node.
+        slowness: Cost per unit of length at each node.
+        side: Grid step along each axis.
+        straight: Cost of a free straight motion to a goal; ``inf`` if none is known.
+        goal: Index of the goal of this motion; -1 if none is known.
+        at_nearest: Cost per unit of length at the nearest goal.
+        lengths: Distance to the nearest goal.
+        is_in_sight: Whether the nearest goal is near, and the straight motion there is free. All nodes within some
+            radius are near; farther away, other motions may be cheaper than the straight one.
+    """
+    # 1. Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that is not in sight
+    #    of its nearest goal, or whose cost per length is another than the goal's. All nodes below that cost, and the
+    #    cheapest node of each goal, get the cost of their straight motion. The other nodes count with that cost or,
+    #    if less, the cost of their distance at the goal's cost per length, which is known even if no straight motion
+    #    is free.
+    differs = (slowness > _NEARLY * at_nearest) | (_NEARLY * slowness < at_nearest)
+    largest = np.minimum(straight, at_nearest * lengths)[is_open & (~is_in_sight | differs)].min(initial=np.inf)
+    has_goal = goal >= 0
+    cheapest = np.full(goal.max(initial=-1) + 1, np.inf)
+    np.minimum.at(cheapest, goal[has_goal], straight[has_goal])
+    is_cheapest = has_goal & (straight == cheapest[goal]) if has_goal.any() else has_goal
+    start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
+    # 2. March from one step below the largest of these costs, so that nodes on both sides of the first front have
+    #    them; but no goal's cheapest node may lie beyond this front.
+    inside = np.isfinite(start)
+    step = float(slowness[inside].max(initial=0.0) * side.max())
+    level = min(largest, float(start[inside].max(initial=0.0))) - step
+    return start, max(level, float(cheapest[np.isfinite(cheapest)].max(initial=-np.inf)))
 
 
-def marched(
-    is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
-) -> Costs:
+def marched(is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: Wraps) -> Costs:
     """Return the costs-to-go of grid nodes, by fast marching from the nodes where ``start`` is at most ``level``.
 
     ``start`` is the known cost-to-go of each node, ``inf`` where unknown. ``is_open`` marks the nodes that paths may
@@ -84,16 +87,13 @@ def marched(
     # 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its slowness.
     #
     # 1. The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
-    #    `np.roll` gives each node the entry of its neighbor before (step 1) or after it (step -1). Unless the axis is
-    #    periodic, the first or last layer has no such neighbor.
+    #    Each node is compared with its neighbor before it (step 1) and after it (step -1) along each axis.
     is_core = start <= level
     reached, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
         is_cut = np.zeros(is_open.shape, bool)
         for step in (1, -1):
-            cut = is_open & np.roll(is_open, step, axis) & (is_core != np.roll(is_core, step, axis))
-            if not wraps:
-                cut[(slice(None),) * axis + (0 if step == 1 else -1,)] = False
+            cut = is_open & rolled(is_open, step, axis, wraps, False) & (is_core != np.roll(is_core, step, axis))
             is_cut |= cut
             step_cost = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
             unknown = cut & np.isinf(start)
@@ -108,14 +108,18 @@ def marched(
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
     # 3. March.
-    travel_time = skfmm.travel_time(
-        np.ma.MaskedArray(np.where(is_core, -1.0, 1.0), ~is_open),
-        1 / slowness,
-        dx=side.tolist(),
-        order=2,
-        periodic=cast(Any, list(periodic)),
-    )
-    return np.where(is_core, start, np.ma.filled(travel_time, np.inf) + level)
+    time = travel_times(np.where(is_core, -1.0, 1.0), is_open, slowness, side, periodic)
+    return np.where(is_core, start, time + level)
+
+
+def travel_times(front: Costs, is_open: IsOpen, slowness: Costs, side: Sides, periodic: Wraps) -> Costs:
+    """Return the costs of motions to grid nodes from the surface where ``front``, linear between nodes, is 0.
+
+    Nodes that are not open have the cost ``inf``, and so have nodes that cannot be reached. ``slowness`` is the cost
+    per unit of length at each node, and ``side`` the grid step along each axis.
+    """
+    options: Any = {"dx": side.tolist(), "order": 2, "periodic": list(periodic)}
+    return np.ma.filled(skfmm.travel_time(np.ma.MaskedArray(front, ~is_open), 1 / slowness, **options), np.inf)
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
@@ -173,16 +177,14 @@ class VoxelGroups:
 
     box: Box  # of all groups; it may extend beyond the voxels
     size: int
-    free: Bool[np.ndarray, "..."]  # whether each voxel of the groups is free
-    part: Bool[np.ndarray, "..."]  # whether each voxel belongs to the part of its group
-    has_part: Bool[np.ndarray, "*shape"]  # whether each group has a free voxel
-    is_open: Bool[np.ndarray, "*shape"]
+    free: Voxels  # whether each voxel of the groups is free
+    part: Voxels  # whether each voxel belongs to the part of its group
+    has_part: IsOpen  # whether each group has a free voxel
+    is_open: IsOpen
     middles: Float[np.ndarray, "*shape dim"]  # of the voxels ``x``, or of groups without a free voxel
 
     @classmethod
-    def of(
-        cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
-    ) -> "VoxelGroups":
+    def of(cls, free: Voxels, domain: Box, box: Box, shape: tuple[int, ...], goals: Goals) -> "VoxelGroups":
         """Group the ``free`` and blocked voxels of a domain.
 
         ``shape`` is the number of groups along each axis, and ``box`` contains all groups. The node of a group that
@@ -291,22 +293,17 @@ class VoxelGroups:
             target = np.asarray(np.ravel_multi_index(tuple(beside[inside].T), self.free.shape))
             place = np.searchsorted(flat, target)
             joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == target)  # targets in `flat`, which ascends
-            edges.append((inside[joined], place[joined], side[axis] * slowness[group][inside[joined]]))
-        # 3. Dijkstra's algorithm from one more node, `num`, which has an edge to each start. A sparse matrix has no
-        #    edges of length 0.
-        starts = np.flatnonzero(np.isfinite(start))
-        edges.append((np.full(len(starts), num), starts, start[starts]))
-        begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))
-        graph = csr_array((np.maximum(length, np.finfo(float).tiny), (begin, end)), (num + 1, num + 1))
-        distance: Any = dijkstra(graph, indices=num)
+            edges.append((place[joined], inside[joined], side[axis] * slowness[group][inside[joined]]))
+        # 3. Shortest paths, as if all starts were motions to one goal.
+        distance, _ = shortest_paths(edges, start, np.zeros(num, int))
         missed_cost, others = np.full(cost.shape, np.inf), np.full(cost.shape, np.inf)
         in_part = np.flatnonzero(self.part[tuple(voxel.T)])
         np.minimum.at(missed_cost, tuple(voxel[in_part].T // size), distance[in_part])
-        np.minimum.at(others, group, distance[:num])
+        np.minimum.at(others, group, distance)
         return missed_cost, others
 
 
-def _blocks(voxels: Bool[np.ndarray, "..."], size: int) -> Bool[np.ndarray, "..."]:
+def _blocks(voxels: Voxels, size: int) -> Voxels:
     # A view with the axes of groups first, then the axes of voxels within a group. From (8, 6) voxels and size 2:
     # (4, 2, 3, 2), then (4, 3, 2, 2).
     parts = [n for num in voxels.shape for n in (num // size, size)]

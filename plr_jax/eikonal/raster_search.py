@@ -26,15 +26,15 @@ from math import floor, gcd
 from typing import Any
 
 import numpy as np
-import skfmm
 from jaxtyping import Float, Int
-from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import as_numbers, shortened
+from plr_jax._arrays import as_numbers, path_from_root, shortened
+from plr_jax.eikonal.march import travel_times
 from plr_jax.eikonal.program import rescaling_of
 from plr_jax.geometry.graph import path_ends
+from plr_jax.spaces._raster_cost import nearest_cells
 
 # Numbers of cells for a search for paths, which takes about 4 kB a cell:
 _FINE_CELLS = 60_000  # smaller rasters are divided into about so many cells: 240 MB
@@ -53,14 +53,12 @@ _RELAXATION = 1.5  # step of a round, as a multiple of the step that projections
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
-Padded = Float[np.ndarray, "padded_rows padded_columns"]  # with a rim of `_REACH` cells
 Nearest = Int[np.ndarray, "rows columns"]
-Nodes = Int[np.ndarray, "_ _"]  # numbers of nodes: corners or centers of cells, row by row
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
-# Values of the cells that lie at an offset, in rows and columns, from other cells.
-AtOffset = Callable[[tuple[int, int]], np.ndarray]
+Cell = tuple[int, int]  # row and column, also of an offset between cells
+AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
 
 
 @dataclass(frozen=True)
@@ -86,19 +84,15 @@ class PathTree:
         first_source = len(self.next_node) - len(self.ends)
         num_corners = first_source - rows * columns
         # 1. Follow the next nodes up to a source.
-        vertices = []
-        row, column = (center / self.side).astype(int)[::-1]
-        node = num_corners + row * columns + column
-        while node < first_source:
-            if node < 0:
-                return np.empty((0, 2))
-            is_center = int(node >= num_corners)
-            row, column = divmod(node - is_center * num_corners, columns + 1 - is_center)
-            vertices.append((column + is_center / 2, row + is_center / 2) * self.side)
-            node = self.next_node[node]
-        vertices.append(self.ends[node - first_source])
+        row, column = (center / self.side).astype(int)[::-1].tolist()
+        *nodes, last = path_from_root(self.next_node, num_corners + row * columns + column)[::-1]
+        if last < first_source:
+            return np.empty((0, 2))
+        is_center = np.array(nodes) >= num_corners
+        row, column = np.divmod(nodes - num_corners * is_center, columns + 1 - is_center)
+        vertices = (np.stack([column, row], axis=1) + is_center[:, None] / 2) * self.side
         # 2. Leave out equal vertices, and vertices at which the path does not turn.
-        path = np.array(vertices)
+        path = np.append(vertices, self.ends[last - first_source, None], axis=0)
         path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
         edges = np.diff(path, axis=0)
         edges /= np.linalg.norm(edges, axis=1, keepdims=True)
@@ -130,40 +124,28 @@ def search_finely(
     part_side = side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, part_side, points)
     results = [distance, nearest]
-    if bounds:
-        assert at_corners is not None
+    if bounds and at_corners is not None:
         results += [_lower_bound(fine, part_side, points, distance, at_corners), distance * (1 + _ROUNDING)]
     return [table[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for table in results], tree
 
 
 def search(
-    cost: Raster,
-    side: Sides,
-    points: Points,
-    height: Raster | None = None,
-    slope_fn: Slope = np.ones_like,
-    from_sources: bool = False,
+    cost: Raster, side: Sides, points: Points, height: Raster | None = None, slope_fn: Slope = np.ones_like
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
     """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
     ``side`` is the width and height of a cell. If ``height`` is given, the cost of a motion is multiplied by
-    ``slope_fn(slope)``: the slope (rise over run) of the motion toward the sources, or if ``from_sources`` away from
-    the sources.
+    ``slope_fn(slope)``, with the slope (rise over run) of the motion toward the sources.
 
     Returns:
         The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
         heights); the index of each cell's nearest source (-1 without a path); and the paths.
     """
-    # 1. Pad costs and heights with a rim of barriers, so that edges may leave the raster. Barriers get the height of
-    #    the nearest cell.
+    # 1. Pad costs with a rim of barriers, so that edges may leave the raster.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
     rows, columns = cost.shape
     home = cells_of(points, side, cost.shape)
-    if height is not None:
-        nearest_open: Any = ndimage.distance_transform_edt(
-            np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
-        )
-        height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
+    is_open = np.isfinite(cost)
     cost = np.pad(cost, _REACH, constant_values=np.inf)
     # 2. Number the nodes: corners of cells (`nodes[0]`, none with heights), then centers (`nodes[1]`), then sources.
     num_corners = (rows + 1) * (columns + 1) if height is None else 0
@@ -171,44 +153,52 @@ def search(
     nodes = {1: np.arange(num_corners, num_nodes).reshape(rows, columns)}
     if height is None:
         nodes[0] = np.arange(num_corners).reshape(rows + 1, columns + 1)
-    # 3. List the steps of edges from each node, in half cells, so that they pass no other node. Counted in half
-    #    cells, corners have even places and centers odd ones:
-    #
-    #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no node
-    #      3      x       x        if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place, (i / 2, j / 2), which is
-    #      2  o       o       o    no node if i / 2 + j / 2 is odd.
-    #      1      x       x
-    #      0  o       o       o
-    #         0   1   2   3   4
-    #
-    if height is None:
+        # 3. List the steps of edges from each node, in half cells, so that they pass no other node. Counted in half
+        #    cells, corners have even places and centers odd ones:
+        #
+        #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no
+        #      3      x       x        node if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place,
+        #      2  o       o       o    (i / 2, j / 2), which is no node if i / 2 + j / 2 is odd.
+        #      1      x       x
+        #      0  o       o       o
+        #         0   1   2   3   4
+        #
         half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
         steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
-    else:
-        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
-    # 4. List the edges from sources to nodes in and beside their cells, at offsets `near` from the centers of cells.
-    #    With heights, sources move to the centers, at no cost.
-    near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
-    if height is None:
+        # 4. Edges from sources lead to nodes in and beside their cells, at offsets `near` from the centers of cells.
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
         costs_to_near = _straight_costs(cost, side, points, home, near)
-    to_near = np.stack([_end_nodes(nodes, 1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
+    else:
+        # With heights, edges join centers, and sources move to centers, at no cost. Barriers get the height of the
+        # nearest cell.
+        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+        near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
+        points = (home[:, ::-1] + 0.5) * side
+        height = np.pad(height[nearest_cells(is_open, side[::-1])], _REACH, mode="edge")
     # 5. List the edges of all nodes, by node and step. The cost of an edge is its length, times the mean cost along
     #    it, times the mean factor of its parts' slopes. Fill the arrays in place, as they take most of the memory.
+    numbers = {half: np.pad(of_half, _REACH, mode="edge") for half, of_half in nodes.items()}
+
+    def end_nodes(half: int, i: int, j: int) -> np.ndarray:
+        # The nodes to which a step leads from all corners (`half` is 0) or centers (1) of cells. From a node at the
+        # place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2. Where the edge
+        # leaves the raster, any node will do: its cost is infinite.
+        return _beside(numbers[(half + i) % 2], ((half + i) // 2, (half + j) // 2), nodes[half].shape)
+
+    to_near = np.stack([end_nodes(1, i, j)[tuple(home.T)] for i, j in near.tolist()], axis=1)
     size = num_nodes * len(steps)
     ends = np.append(np.empty(size, np.int32), to_near.astype(np.int32))
     costs = np.append(np.empty(size), costs_to_near)
     end, cost_of = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
     for half, begin_nodes in nodes.items():
         edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
-        cost_at = partial(_beside, cost, begin_nodes.shape)
+        cost_at, height_at = (partial(_beside, table, shape=begin_nodes.shape) for table in (cost, height))
         for step, (i, j) in enumerate(steps):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
             of_step = length * _mean_along(i, j, half, cost_at)
             if height is not None:
-                height_at = partial(_beside, height, begin_nodes.shape)
-                of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn, from_sources)
-            end[edges, step], cost_of[edges, step] = _end_nodes(nodes, half, i, j).ravel(), of_step.ravel()
+                of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn)
+            end[edges, step], cost_of[edges, step] = end_nodes(half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
         # The cells around each corner: a and b below it, c and d above it.
@@ -221,37 +211,28 @@ def search(
     sources = num_nodes + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
     nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - num_nodes, -1)]
-    tree = PathTree(toward, (rows, columns), side, points if height is None else (home[:, ::-1] + 0.5) * side)
+    tree = PathTree(toward, (rows, columns), side, points)
     if height is not None:
         return distance[nodes[1]], None, nearest, tree
     distance[contacts] = np.inf
     return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
-def _end_nodes(nodes: dict[int, Nodes], half: int, i: int, j: int) -> Nodes:
-    """Return the nodes to which a step leads from all corners (``half`` is 0) or centers (1) of cells."""
-    # From a node at the place 2 * row + half, the step i leads to 2 * ((half + i) // 2 + row) + (half + i) % 2.
-    end_nodes = nodes[(half + i) % 2]
-    row, column = (  # clipped where the edge leaves the raster: its cost is infinite
-        np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
-        for n, most, offset in zip(nodes[half].shape, end_nodes.shape, (i, j), strict=True)
-    )
-    return (end_nodes[0, 0] + row * end_nodes.shape[1])[:, None] + column
-
-
-def _beside(values: Padded, shape: tuple[int, ...], offset: tuple[int, int]) -> np.ndarray:
-    # The values of the cells that lie at an offset, in rows and columns, from the cells of a raster without rim.
-    i, j = _REACH + offset[0], _REACH + offset[1]
+def _beside(values: np.ndarray, offset: Cell, shape: tuple[int, ...], first: Cell = (_REACH, _REACH)) -> np.ndarray:
+    # The values of the cells that lie at an offset, in rows and columns, from the cells of a part of a raster, or of
+    # a raster without rim. The part has the given shape, and begins at the cell `first`.
+    i, j = np.add(first, offset)
     return values[i : i + shape[0], j : j + shape[1]]
 
 
 def _straight_costs(
-    cost: Padded, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
+    cost: Raster, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
     Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
-    cell. ``home`` has the row and column of this cell. A motion through a barrier costs ``inf``.
+    cell. ``home`` has the row and column of this cell. ``cost`` has a rim of ``_REACH`` cells. A motion through a
+    barrier costs ``inf``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
@@ -297,8 +278,7 @@ def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     #      +-------+-------+-------+
     #
     cuts = sorted({0.0, 1.0} | {k / abs(n) for n in (i, j) for k in range(1, abs(n)) if (half + k) % 2 == 0})
-    middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]
-    cells = [(floor(row), floor(column)) for row, column in middles]
+    cells = [(floor((half + i * (a + b) / 2) / 2), floor((half + j * (a + b) / 2) / 2)) for a, b in pairwise(cuts)]
     # 2. Add the cost of each piece. Along the border of two cells the cheaper one counts.
     mean: Any = 0.0
     for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
@@ -313,14 +293,11 @@ def _mean_along(i: int, j: int, half: int, cost_at: AtOffset) -> np.ndarray:
     return mean
 
 
-def _mean_factor(
-    i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope, from_sources: bool
-) -> np.ndarray:
-    """Return, for each cell, the mean of ``slope_fn`` along the motion between it and the cell at offset ``(i, j)``.
+def _mean_factor(i: int, j: int, length: float, height_at: AtOffset, slope_fn: Slope) -> np.ndarray:
+    """Return, for each cell, the mean of ``slope_fn`` along the motion to it from the cell at offset ``(i, j)``.
 
-    The motion leads to the cell at the offset if ``from_sources``, else from there back. The motion is cut into
-    ``max(abs(i), abs(j))`` equal parts, and ``slope_fn`` is called with the slope of each part. ``length`` is the
-    motion's length; ``height_at`` returns the heights at an offset from all cells.
+    The motion is cut into ``max(abs(i), abs(j))`` equal parts, and ``slope_fn`` is called with the slope of each
+    part. ``length`` is the motion's length; ``height_at`` returns the heights at an offset from all cells.
     """
     # At the ends of parts, the place along the longer axis is whole. Along the other axis it is between two cells, i0
     # or j0 and the next one: interpolate their heights.
@@ -330,7 +307,7 @@ def _mean_factor(
         beyond = i0 + (rest_i > 0), j0 + (rest_j > 0)
         fraction = max(rest_i, rest_j) / count
         heights.append((1 - fraction) * height_at((i0, j0)) + fraction * height_at(beyond))
-    slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
+    slopes = np.diff(heights, axis=0) * -count / length
     factor = as_numbers("slope_cost's answer", slope_fn(slopes), "numbers")
     if factor.shape not in ((), slopes.shape) or not (factor > 0).all():
         raise ValueError(f"slope_cost must return positive numbers of shape {slopes.shape}, got {shortened(factor)}.")
@@ -390,10 +367,9 @@ def _lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, 
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
     # 5. Subtract the largest value that a source may have: that of its cell's center, and the cost of the motion
     #    there.
-    home = cells_of(points, side, cost.shape)
-    to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
-    home = tuple(home.T)
-    at_sources = np.max(lower[home] + cost[home] * to_center)
+    row, column = cells_of(points, side, cost.shape).T
+    to_center = np.linalg.norm(points - (np.stack([column, row], axis=1) + 0.5) * side, axis=1)
+    at_sources = np.max(lower[row, column] + cost[row, column] * to_center)
     lower = np.maximum(lower - at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
     return np.where(np.isfinite(at_centers), least * lower, np.inf)
 
@@ -406,10 +382,9 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     """
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
-        raise ValueError(
-            f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
-            f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
-        )
+        expected = f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}"
+        advice = "Reduce the largest, or make their cells barriers."
+        raise ValueError(f"{expected}, got costs from {least:g} to {most:g}. {advice}")
     cost = cost / least  # scikit-fmm ignores some small costs
     # 1. Begin with a front around cells with a source. In a cell with several sources the first one counts: it is
     #    written last.
@@ -418,11 +393,10 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     label[home] = np.arange(len(points))[::-1]
     front = np.where(label >= 0, -_TINY * side.min(), side.min())
     # 2. March, unless all free cells have a source.
+    is_open = np.isfinite(cost)
     distance = np.where(label >= 0, 0.0, np.inf)
-    if (np.isfinite(cost) & (label < 0)).any():
-        front = np.ma.MaskedArray(front, np.isinf(cost))
-        time = skfmm.travel_time(front, 1 / cost, dx=side[::-1].tolist(), order=2)
-        distance = np.where(label >= 0, 0.0, np.ma.filled(time, np.inf))
+    if (is_open & (label < 0)).any():
+        distance = np.where(label >= 0, 0.0, travel_times(front, is_open, cost, side[::-1], (False, False)))
     # 3. Find the nearest source of each cell.
     if len(points) == 1:
         return least * distance, np.where(np.isfinite(distance), 0, -1)
@@ -447,12 +421,8 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
     index = toward.copy()
     least = np.full(distance.shape, np.inf)
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
-        first = np.maximum([0, 0], [-i, -j])
-        last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
-
-        def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
-            return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
-
+        shape = distance.shape[0] - abs(i), distance.shape[1] - abs(j)
+        part = partial(_beside, shape=shape, first=(max(-i, 0), max(-j, 0)))
         cost_of_step = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
         for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
             through = part(distance, b) + cost_of_step

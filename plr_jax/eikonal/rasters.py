@@ -66,10 +66,9 @@ class CostDistance:
                 than 2 million cells (see :func:`cost_distance`).
         """
         if self._tree is None or self._box is None:
-            raise ValueError(
-                f"Over more than {MOST_CELLS:,} cells, about square, distances come without paths. Follow a PLR "
-                "instead: use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)."
-            )
+            advice = "use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)"
+            many = f"Over more than {MOST_CELLS:,} cells, about square"
+            raise ValueError(f"{many}, distances come without paths. Follow a PLR instead: {advice}.")
         shape, box = np.shape(self.distance), self._box
         place = as_point("point", box.settled(point), 2) - box.lo
         if not ((place >= 0) & (place <= box.width)).all():
@@ -134,51 +133,43 @@ def cost_distance(
     rise = None if heights is None else raster_values("heights", heights)
     if rise is not None:
         if rise.shape != cost.shape or cost.size > MOST_ON_REQUEST:
-            most = f"shape {cost.shape}, of at most {MOST_ON_REQUEST:,} cells"
-            raise ValueError(f"heights must have {most}, got {rise.shape}.")
+            expected = f"shape {cost.shape}, of at most {MOST_ON_REQUEST:,} cells"
+            raise ValueError(f"heights must have {expected}, got {rise.shape}.")
         _require_aligned("heights", heights, costs)
         rise = rise[flips]
         cost = np.where(np.isfinite(rise), cost, np.inf)
-    if np.dtype(getattr(sources, "dtype", float)).kind == "b":
-        _require_aligned("A mask of sources", sources, costs)
-    points = _as_sources(sources, cost, box, flips)
+    points = _as_sources(sources, costs, cost, box, flips)
     # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
-    lower = upper = plr = tree = None
+    plr = tree = None
     if rise is None:
         parts = raster_search.parts_of_cells(cost, side)  # rows and columns of parts, about square, of each cell
         num_cells = cost.size * int(parts.prod())
         if as_bool("bounds", bounds) and num_cells > MOST_ON_REQUEST:
             raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
         if bounds or num_cells <= MOST_CELLS:
-            (distance, nearest, *proven), tree = raster_search.search_finely(cost, side, points, parts, bounds)
-            if bounds:
-                lower, upper = proven
+            results, tree = raster_search.search_finely(cost, side, points, parts, bounds)
         else:
-            distance, nearest = raster_search.march(cost, side, points)
+            results = raster_search.march(cost, side, points)
     else:
         slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
-        is_reversed = as_bool("from_sources", from_sources)
-        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_fn, is_reversed)
+        slope_to_source = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
+        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_to_source)
+        results = distance, nearest
     if max_bytes is not None:
-        plr = construct(GridField(distance, box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
+        plr = construct(GridField(results[0], box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
     # 3. Results in the order and with the coordinates of the given raster: `flips` applied again.
-    def like_costs(name: str, values: np.ndarray | None) -> Any:
-        if values is None or not is_data_array(costs):
-            return values if values is None else values[flips]
-        result = costs.copy(data=values[flips]).rename(name)
-        result.attrs, result.encoding = (
-            {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
-        )
-        if name == "nearest":
-            result.attrs["_FillValue"] = -1  # files then know that -1 is no source
-        return result
-
-    tables = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
-    return CostDistance(**{name: like_costs(name, tables[name]) for name in tables}, plr=plr, _box=box, _tree=tree)
+    tables: list[Any] = [table[flips] for table in results]
+    if is_data_array(costs):
+        kept = [{key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)]
+        for k, name in enumerate(("distance", "nearest", "lower", "upper")[: len(tables)]):
+            tables[k] = costs.copy(data=tables[k]).rename(name)
+            tables[k].attrs, tables[k].encoding = kept
+        tables[1].attrs["_FillValue"] = -1  # files then know that -1 is no nearest source
+    return CostDistance(*tables, plr=plr, _box=box, _tree=tree)
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
@@ -186,10 +177,9 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
     if is_data_array(raster) and is_data_array(costs):
         pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
         if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
-            raise ValueError(
-                f"{name} must have the dimensions {costs.dims} and coordinates of costs, got other ones: use "
-                "reindex_like(costs) or interp_like(costs)."
-            )
+            expected = f"the dimensions {costs.dims} and coordinates of costs"
+            advice = "use reindex_like(costs) or interp_like(costs)"
+            raise ValueError(f"{name} must have {expected}, got other ones: {advice}.")
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
@@ -201,10 +191,8 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     # 1. Check the shape of costs, and the size of cells.
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
-        raise ValueError(
-            f"costs must have shape (rows, columns), got {cost.shape}. For one band of several, use "
-            'costs.squeeze("band") or costs[0].'
-        )
+        advice = 'For one band of several, use costs.squeeze("band") or costs[0].'
+        raise ValueError(f"costs must have shape (rows, columns), got {cost.shape}. {advice}")
     size = as_numbers("cell_size", cell_size, "one or two positive numbers")
     if size.shape not in ((), (2,)) or not (np.isfinite(size) & (size > 0)).all():
         raise ValueError(f"cell_size must be one or two positive numbers, got {shortened(cell_size)}.")
@@ -232,21 +220,20 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     return cost, box, flips
 
 
-def _as_sources(sources: ArrayLike, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
+def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
     """Check the sources, which are points or a mask; return points ``(k, 2)`` relative to the raster's lower corner.
 
-    ``cost`` and ``flips`` are results of :func:`_raster`.
+    ``cost``, ``box`` and ``flips`` are the results of :func:`_raster` for the raster ``costs``.
     """
     # 1. Points: the centers of the mask's cells, in the order of the given raster; or points as given.
     side = box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
+        _require_aligned("A mask of sources", sources, costs)
         if np.shape(sources) != cost.shape:
             raise ValueError(f"A mask of sources must have the raster's shape {cost.shape}, got {np.shape(sources)}.")
-        cells = np.argwhere(np.ma.filled(sources, False) if np.ma.isMaskedArray(sources) else np.asarray(sources))
-        for axis in (0, 1):
-            if flips[axis].step == -1:
-                cells[:, axis] = cost.shape[axis] - 1 - cells[:, axis]
-        points = (cells[:, ::-1] + 0.5) * side
+        cells = zip(cost.shape, flips, np.nonzero(np.ma.filled(sources, False)), strict=True)
+        row, column = (np.arange(count)[flip][index] for count, flip, index in cells)
+        points = (np.stack([column, row], axis=1) + 0.5) * side
     elif np.shape(sources) == cost.shape and cost.shape[1] != 2:
         raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
@@ -269,8 +256,6 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, flips: tuple[slice, 
         raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
     is_barred: Any = ~np.isfinite(cost[tuple(cells_of(points, side, cost.shape).T)])
     if is_barred.any():
-        raise ValueError(
-            f"sources must not lie in barriers, got {first(is_barred)}: move it. For a mask of sources, use mask & "
-            "np.isfinite(costs)."
-        )
+        advice = "For a mask of sources, use mask & np.isfinite(costs)."
+        raise ValueError(f"sources must not lie in barriers, got {first(is_barred)}: move it. {advice}")
     return points

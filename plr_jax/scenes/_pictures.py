@@ -245,28 +245,25 @@ def read_cost_map(
             raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")
         grid = map_server.occupancy_grid()[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
-        hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
+        bounds = (x, y), (x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution)
         options: Any = {"unknown_is_free": unknown_is_free, "interpolation": interpolation}
-        return RasterCost.from_occupancy_grid(
-            grid, ((x, y), hi), cost_travel_multiplier=cost_travel_multiplier, **options
-        )
+        return RasterCost.from_occupancy_grid(grid, bounds, cost_travel_multiplier=cost_travel_multiplier, **options)
 
 
 @dataclass(frozen=True, eq=False)
 class _MapServer:
     """The ``.yaml`` file of a map of ROS's ``map_server``."""
 
-    image: Path
+    occupancy: Float[np.ndarray, "rows columns"]  # of pixels, 0 to 1, NaN where unknown; row 0 is the top row
     resolution: float  # side of a pixel in meters
     origin: Float[np.ndarray, "3"]  # x, y and yaw of the lower left corner of the picture
     mode: str
-    negate: bool
     free_thresh: float
     occupied_thresh: float
 
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
-        """Read and check the ``.yaml`` file of a map, with ROS's defaults; the picture is read later."""
+        """Read and check the ``.yaml`` file of a map, with ROS's defaults, and its picture."""
         # 1. Find the picture.
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
@@ -290,32 +287,16 @@ class _MapServer:
         origin = np.array([_number("origin", value) for value in [*origin, 0.0][:3]])
         free_thresh = _number("free_thresh", entry.get("free_thresh", 0.196))
         occupied_thresh = _number("occupied_thresh", entry.get("occupied_thresh", 0.65))
-        return cls(image, resolution, origin, mode, bool(negate), free_thresh, occupied_thresh)
-
-    def occupancy(self) -> Float[np.ndarray, "rows columns"]:
-        """Return the occupancy of all pixels, 0 to 1, NaN where unknown; row 0 is the top row."""
-        with errors_named(self.image), open_picture(self.image) as picture:
-            light, white, alpha = _lightness(picture)
-        # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
-        if self.mode == "trinary" and alpha is not None:
-            light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
-        if self.mode == "raw":
-            percent = np.rint(_RAW_WHITE * light / white)
-            return np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
-        occupancy = (light if self.negate else white - light) / white
-        if self.mode == "scale" and alpha is not None:
-            return np.where(alpha == OPAQUE, occupancy, np.nan)
-        return occupancy
+        return cls(_occupancy(image, mode, bool(negate)), resolution, origin, mode, free_thresh, occupied_thresh)
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
         """Return which pixels are free, ``(rows, columns)``; row 0 is the top row of the picture."""
-        occupancy = self.occupancy()
         # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
-        return ~(occupancy > self.occupied_thresh) if unknown_is_free else occupancy < self.free_thresh
+        return ~(self.occupancy > self.occupied_thresh) if unknown_is_free else self.occupancy < self.free_thresh
 
     def occupancy_grid(self) -> Float[np.ndarray, "rows columns"]:
         """Return the values of ROS's ``OccupancyGrid`` of all pixels, 0 to 100 or -1; row 0 is the top row."""
-        occupancy = self.occupancy()
+        occupancy = self.occupancy
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
         if self.mode == "raw":
@@ -326,6 +307,20 @@ class _MapServer:
             fraction = np.clip((occupancy - lowest) / (highest - lowest), 0.0, 1.0)
             between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * fraction))
         return np.where(occupancy > highest, _OCCUPIED, np.where(occupancy < lowest, _FREE, between))
+
+
+def _occupancy(image: Path, mode: str, is_negated: bool) -> Float[np.ndarray, "rows columns"]:
+    """Return the occupancy of all pixels of a picture, 0 to 1, NaN where unknown; row 0 is the top row."""
+    with errors_named(image), open_picture(image) as picture:
+        light, white, alpha = _lightness(picture)
+    # Lightness is from 0 to `white`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
+    if mode == "trinary" and alpha is not None:
+        light = 0.75 * light + 0.25 * white * (alpha / OPAQUE)
+    if mode == "raw":
+        percent = np.rint(_RAW_WHITE * light / white)
+        return np.where(percent <= _RAW_MOST, percent / _RAW_MOST, np.nan)
+    occupancy = (light if is_negated else white - light) / white
+    return np.where(alpha == OPAQUE, occupancy, np.nan) if mode == "scale" and alpha is not None else occupancy
 
 
 def _number(name: str, value: object) -> float:

@@ -85,12 +85,10 @@ class RasterCost:
         factors = np.array(raster_values("values", values, expected)[order], order="C")
         if factors.ndim != domain.dim or factors.ndim > _MAX_AXES or factors.size == 0:
             expected += f", one per axis of the bounds and at most {_MAX_AXES}, with at least one cell"
-            raise ValueError(
-                f"values must be {expected}, got shape {factors.shape}. The last array axis runs along x."
-            )
-        wrong = ~((factors >= _MIN_FACTOR) & (factors <= _MAX_FACTOR)) & (factors != np.inf)
-        if wrong.any():
-            cell = tuple(map(int, np.unravel_index(np.argmax(wrong), wrong.shape)))
+            raise ValueError(f"values must be {expected}, got shape {factors.shape}. The last axis runs along x.")
+        is_wrong = ~((factors >= _MIN_FACTOR) & (factors <= _MAX_FACTOR)) & (factors != np.inf)
+        if is_wrong.any():
+            cell = tuple(np.argwhere(is_wrong)[0].tolist())
             expected = f"from {_MIN_FACTOR:g} to {_MAX_FACTOR:g}, or inf for a blocked cell"
             advice = "For the bytes of a ROS cost map use RasterCost.from_costmap."
             raise ValueError(f"values must be {expected}, got {factors[cell]:g} at {cell}. {advice}")
@@ -118,13 +116,7 @@ class RasterCost:
         are as for the class.
         """
         costs = _in_range(values, 0, _UNKNOWN, "costs of costmap_2d; for an OccupancyGrid use from_occupancy_grid")
-        return cls._from_costs(costs, bounds, cost_travel_multiplier, unknown_is_free, interpolation)
-
-    @classmethod
-    def _from_costs(
-        cls, costs: Raster, bounds: ArrayLike, multiplier: float | int, unknown_is_free: bool, interpolation: str
-    ) -> "RasterCost":
-        multiplier = as_finite("cost_travel_multiplier", multiplier)
+        multiplier = as_finite("cost_travel_multiplier", cost_travel_multiplier)
         factors = 1 + multiplier * np.minimum(costs, _MAX_COST) / _MAX_COST
         blocked = costs >= _INSCRIBED
         if as_bool("unknown_is_free", unknown_is_free):
@@ -154,7 +146,8 @@ class RasterCost:
         costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
         costs[grid >= _GRID_LETHAL] = _LETHAL
         costs[grid < 0] = _UNKNOWN
-        return cls._from_costs(costs, bounds, cost_travel_multiplier, unknown_is_free, interpolation)
+        options: Any = {"unknown_is_free": unknown_is_free, "interpolation": interpolation}
+        return cls.from_costmap(costs, bounds, cost_travel_multiplier=cost_travel_multiplier, **options)
 
     def inflated(
         self,
@@ -227,8 +220,8 @@ class RasterCost:
         factors = np.full(len(q), np.nan)
         for part in batches(np.flatnonzero(np.isfinite(q).all(axis=1)), _POINTS_PER_BATCH):
             coords = self._cell_coordinates(q[part])
-            coords = np.where(self.domain.periodic, coords % self._sizes, self._clipped(coords))
-            factors[part] = self._interpolated(coords)
+            clipped = np.clip(coords, 0, self._sizes - 1)
+            factors[part] = self._interpolated(np.where(self.domain.periodic, coords % self._sizes, clipped))
         return factors
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Numbers, Numbers]:
@@ -248,8 +241,8 @@ class RasterCost:
         # 1. Look up the extremes over all cells of large boxes.
         patches = np.maximum((above - np.floor(first)).max(axis=1), 1)
         by_table = (patches > _MAX_PATCHES) | (self.interpolation == "nearest")
-        ends = (np.floor(first[by_table]).astype(np.intp), above[by_table].astype(np.intp))
-        least[by_table], most[by_table] = self._table.extremes(*ends)
+        below = np.floor(first[by_table]).astype(np.intp)
+        least[by_table], most[by_table] = self._table.extremes(below, above[by_table].astype(np.intp))
         # 2. Compute the extremes over other boxes. The lines of cell centers cut a box into pieces, one per patch.
         #    The factor is multilinear in a piece, so its extremes over the box are at corners of pieces.
         for count in range(1, _MAX_PATCHES + 1):
@@ -290,20 +283,18 @@ class RasterCost:
         coords = (q - self.domain.lo) / self.domain.width * self._sizes
         return coords if self.interpolation == "nearest" else coords - 0.5
 
-    def _clipped(self, coords: Vectors) -> Vectors:
-        return np.clip(coords, 0, self._sizes - 1)
-
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
         # 1. Convert to units of cells, and enlarge by rounding errors.
+        sizes = self._sizes
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
-        rounding = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
+        rounding = _COORDINATE_ROUNDING * (sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - rounding, last + rounding
         # 2. Along periodic axes, shift by whole periods, so that 0 <= first < size. A box that is no shorter than a
         #    period becomes the whole period. Along other axes, clip to the coordinates of the outer cells.
-        shift = np.floor(first / self._sizes) * self._sizes
-        is_whole = last - first >= self._sizes
-        lower = np.where(self.domain.periodic, np.where(is_whole, 0, first - shift), self._clipped(first))
-        upper = np.where(self.domain.periodic, np.where(is_whole, self._sizes, last - shift), self._clipped(last))
+        shift = np.floor(first / sizes) * sizes
+        is_whole = last - first >= sizes
+        lower = np.where(self.domain.periodic, np.where(is_whole, 0, first - shift), np.clip(first, 0, sizes - 1))
+        upper = np.where(self.domain.periodic, np.where(is_whole, sizes, last - shift), np.clip(last, 0, sizes - 1))
         return lower, upper
 
     @property
@@ -317,8 +308,7 @@ class RasterCost:
 
     def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
         """Return an array with ``cells`` three times along each periodic axis, and the slices of the middle copy."""
-        wraps = self.domain.periodic[::-1]
-        sizes = [size if periodic else 0 for size, periodic in zip(cells.shape, wraps, strict=True)]
+        sizes = np.multiply(cells.shape, self.domain.periodic[::-1])  # of the copies before and after, 0 for none
         middle = tuple(slice(before, before + size) for before, size in zip(sizes, cells.shape, strict=True))
         return np.pad(cells, [(size, size) for size in sizes], mode="wrap"), middle
 
@@ -327,10 +317,8 @@ class RasterCost:
         """Cost factors, indexed by x first, in which blocked cells have the factor of the nearest unblocked cell."""
         factors = self.values
         if not self.free.all():
-            around, middle = self._three_periods(~self.free)
-            nearest: Any = ndimage.distance_transform_edt(
-                around, sampling=self._sides, return_distances=False, return_indices=True
-            )
+            around, middle = self._three_periods(self.free)
+            nearest = nearest_cells(around, self._sides)
             factors = factors[tuple(index[middle] % size for index, size in zip(nearest, factors.shape, strict=True))]
         return np.ascontiguousarray(factors.T)
 
@@ -340,6 +328,11 @@ class RasterCost:
         factors = self._filled_factors
         padding = [(0, (size + 1) * wraps) for size, wraps in zip(factors.shape, self.domain.periodic, strict=True)]
         return SparseTable(np.pad(factors, padding, mode="wrap") if self.domain.is_periodic else factors)
+
+
+def nearest_cells(wanted: Bool[np.ndarray, "..."], sides: Float[np.ndarray, " dim"]) -> Any:
+    """Return, for each cell of a grid, the indices along all axes of the nearest cell that is ``wanted``."""
+    return tuple(ndimage.distance_transform_edt(~wanted, sides, return_distances=False, return_indices=True))
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
@@ -393,11 +386,11 @@ class SparseTable:
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, index = ragged_indices(totals)
-        begin = np.empty((len(block), counts.shape[1]), np.intp)
-        for axis in range(counts.shape[1]):
+        window = np.zeros(len(block), np.intp)  # flat index of each window
+        for axis, num in enumerate(least.shape):
             index, step = np.divmod(index, counts[block, axis])
-            begin[:, axis] = np.minimum(first[block, axis] + step * side[axis], last[block, axis] - side[axis] + 1)
-        window = np.ravel_multi_index(tuple(begin.T), least.shape)
+            begin = np.minimum(first[block, axis] + step * side[axis], last[block, axis] - side[axis] + 1)
+            window = window * num + begin
         starts = np.cumsum(totals) - totals
         return np.minimum.reduceat(least.take(window), starts), np.maximum.reduceat(most.take(window), starts)
 
@@ -407,7 +400,9 @@ class SparseTable:
         shape = np.array(self.values.shape)
         side, num_entries = np.ones_like(shape), 0
         levels = [(side, self.values, self.values)]
-        least, most = _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
+        single = self.values.astype(np.float32)
+        least = np.where(single > self.values, np.nextafter(single, np.float32(-np.inf)), single)
+        most = np.where(single < self.values, np.nextafter(single, np.float32(np.inf)), single)
         while (side < shape).any() and num_entries < _MAX_ENTRIES:
             step = np.minimum(side, shape - side)  # doubles the side, up to the whole axis
             least, most = _merge_windows(np.minimum, least, step), _merge_windows(np.maximum, most, step)
@@ -423,10 +418,3 @@ def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, " r
         along = np.moveaxis(windows, axis, 0)
         windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)
     return np.ascontiguousarray(windows)
-
-
-def _as_float32(values: Raster, toward: float) -> Float32[np.ndarray, "..."]:
-    """Round to float32 upward if ``toward`` is ``inf``, downward if it is ``-inf``."""
-    single = values.astype(np.float32)
-    wrong = single < values if toward > 0 else single > values
-    return np.where(wrong, np.nextafter(single, np.float32(toward)), single)
