@@ -332,8 +332,7 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         # 2. Find which cells around each are open.
         places = middle[:, None] + signs * inset
         around = mesh.locate(np.where(periodic, places % 1.0, places).reshape(-1, dim)).reshape(places.shape[:2])
-        is_inside = (((places > 0) & (places < 1)) | periodic).all(axis=2)
-        is_open = (mesh.state[around] != CellState.BLOCKED) & is_inside
+        is_open = (((places > 0) & (places < 1)) | periodic).all(axis=2) & (mesh.state[around] != CellState.BLOCKED)
         # 3. Beside the edge, an open cell may be blocked: classify a small box between the edge and the place in it.
         edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * inset)

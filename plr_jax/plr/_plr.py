@@ -121,8 +121,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _reader(self) -> NumpyPLR | None:
-        can_read = is_on_one_host(*jax.tree.leaves(self)) and self.has_arrays_of_file
-        return self.numpy() if can_read else None
+        return self.numpy() if is_on_one_host(*jax.tree.leaves(self)) and self.has_arrays_of_file else None
 
     def tables_and_points(self, x: Array | np.ndarray) -> tuple[Tables, Array | np.ndarray]:
         """Return the lookup tables for a query at points ``x``, and the points in the form that these tables take.

@@ -138,10 +138,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     paths = paths[:, : max(1, counts.max(initial=1))]
 
     # 3. Find how each path ends.
-    is_at_goal = (sources.offsets[chain[:, -1]] <= rounding) | (
-        sources.goals is not None
-    )  # all named roots are goals
-    status = np.where(is_at_goal[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    ends_at_goal = sources.is_goal(chain[:, -1], rounding)[row]
+    status = np.where(ends_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     status[~is_free] = TraceStatus.CROSSES_WALL
 
     # 4. Add rows for starts without a path.
@@ -182,7 +180,7 @@ class _SourceSight:
         while (root[root] != root).any():
             self._is_clear &= self._is_clear[root]
             root = root[root]
-        self._arrives = self._is_clear & ((sources.offsets[root] <= rounding) | (sources.goals is not None))
+        self._arrives = self._is_clear & sources.is_goal(root, rounding)
 
     def free_paths(
         self, x: Points, first: Int[np.ndarray, " n"]

@@ -18,8 +18,7 @@ _WHY = {
 class CEmitter(Emitter):
     """A generator of C99 code.
 
-    ``name`` is the prefix of the functions that the code calls. ``floors`` collects the types (``"float"``,
-    ``"double"``) for which the code calls a floor function.
+    ``name`` is the prefix of the functions that the code calls.
     """
 
     root_of, cast = "sqrtf({})", "(float)({})"
@@ -28,7 +27,6 @@ class CEmitter(Emitter):
     def __init__(self, name: str) -> None:
         super().__init__()
         self.name = name
-        self.floors: set[str] = set()
 
     def literal(self, number: np.floating) -> str:
         """Return the shortest decimal that C reads as the same number; ``INFINITY`` or ``-INFINITY`` if infinite."""
@@ -37,7 +35,6 @@ class CEmitter(Emitter):
         return str(number) + ("f" if number.dtype == np.float32 else "")
 
     def floor(self, x: Expression) -> Expression:
-        self.floors.add(x.type)
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
@@ -142,7 +139,6 @@ def c_header(program: Program, name: str) -> str:
     do.statements.append(f"return {program.value(do, offsets, numbers)};")
     functions = [f"static inline float {name}_distance(const {of_type} x[{dim}])"]
     functions += ["{", *indent(do.used_statements()), "}", ""]
-    floors = do.floors
     if is_sourced:
         do = CEmitter(name)
         outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
@@ -153,7 +149,7 @@ def c_header(program: Program, name: str) -> str:
     # 5. Floors of the types in use; NaN and numbers too large to have a fraction are returned unchanged.
     helpers = []
     for of_type, whole, digits, one in _FLOORS:
-        if of_type in floors | do.floors:
+        if any(f"{name}_floor_of_{of_type}" in line for line in functions):
             helpers += [
                 f"static inline {of_type} {name}_floor_of_{of_type}({of_type} v)",
                 "{",

@@ -126,7 +126,6 @@ def js_module(program: Program) -> str:
     # 2. Tables: the tree and the leaf parameters.
     lines += [FROUND, *[NEXT_FLOAT] * (certificate is not None)]
     if len(tree.children):
-        counters = f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"
         lines += [
             f"// Children of every split node, the lower one first, as {1 << tree.kind_bits} * row + kind. Of a",
             f"// split child: its row in this table, its axis. Of a leaf: its row in numbers, {dim}.",
@@ -135,7 +134,7 @@ def js_module(program: Program) -> str:
             "]);",
             f"const root = {tree.root};",
             f"const place = new Uint32Array({dim});",
-            *[counters] * leaf.is_cell_relative,
+            *[f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * leaf.is_cell_relative,
         ]
     lines += [
         f"const numbers = new Float32Array([ // {rows.shape[1]} each",

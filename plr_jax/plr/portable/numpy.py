@@ -208,10 +208,8 @@ class NumpyPLR:
     def __init__(self, data: bytes):
         """Decode the bytes of a PLR file; raises ``ValueError`` if they are invalid."""
         if not isinstance(data, bytes | bytearray | memoryview):
-            raise ValueError(
-                f"data must be the bytes of a PLR file, got {shortened(data)}; for a path use load_numpy, for a PLR "
-                "call plr.numpy()."
-            )
+            advice = "for a path use load_numpy, for a PLR call plr.numpy()"
+            raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}; {advice}.")
         self._data = bytes(data)
         self._program = program = Program(decode(self._data))
         cells, self.dim, self.domain = program.contents.tree.leaves, program.dim, program.domain

@@ -310,8 +310,7 @@ def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limi
     for _ in range(_ATTEMPTS):
         # 1. Find the best tree for the price, until all errors of its leaves are those at all samples.
         while True:
-            costs = fits.integral + peak_weight * fits.largest
-            tree = best_tree(lattice, costs, np.exp(log_price), limits.max_depth)
+            tree = best_tree(lattice, fits.integral + peak_weight * fits.largest, np.exp(log_price), limits.max_depth)
             estimated = tree.box[fits.is_estimated[tree.box]]
             if not len(estimated):
                 break
