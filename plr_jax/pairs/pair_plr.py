@@ -47,6 +47,7 @@ _FEW_TESTS = 2**18  # most pairs times walls that NumPy answers: at most about a
 _PAIRS_A_GOAL = 8  # pairs that NumPy answers in about the time in which it prepares a goal
 Lengths = Float[Array, "*batch"]
 _Points = Float[Array, "*batch 2"]
+AnyFn = Callable[..., Any]
 
 
 @serializable
@@ -132,8 +133,7 @@ class PairPLR(FileBacked):
         """
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         batch = broadcast_shape("x and y", x, y)[:-1]
-        lower, upper = self._answer(batch, _bounds, NumpyPairs.bounds_between, x, y)
-        return lower, upper
+        return self._answer(batch, _bounds, NumpyPairs.bounds_between, x, y)
 
     def to(self, goal: ArrayLike) -> PLR:
         """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
@@ -172,11 +172,11 @@ class PairPLR(FileBacked):
     def _answer(
         self,
         batch: tuple[int, ...],
-        compiled: Callable[..., tuple[Array, ...]],
-        in_numpy: Callable[..., np.ndarray],
-        *points: Array | np.ndarray,
+        compiled: AnyFn,
+        in_numpy: AnyFn,
+        *points: Any,
         goals: PreparedGoals | None = None,
-    ) -> tuple[Array, ...]:
+    ) -> Any:
         """Return answers for a batch of pairs: ``in_numpy`` for few pairs, else by the ``compiled`` function."""
         # 1. NumPy takes the columns of prepared goals. The compiled function has them, and takes the index of each
         #    goal: so the parts of a batch share the goals.

@@ -356,9 +356,7 @@ class PairsFileData:
         first, count = BitWriter(), self.num_corners
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
-        is_corner = np.zeros(len(self.outline.points), bool)
-        is_corner[self.corner] = True
-        first.write_set(is_corner)
+        first.write_set(np.isin(np.arange(len(self.outline.points)), self.corner))
         is_joined = np.zeros(count * (count - 1) // 2, bool)
         i, j = self.edges.T
         is_joined[j * (j - 1) // 2 + i] = True

@@ -84,9 +84,8 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
         others += later_levels
         total += sum(map(len, later_levels))
     if total >= _MOST_INDICES:
-        raise ValueError(
-            f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
-        )
+        message = f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
+        raise ValueError(message)
     # 3. Entries of rows, first pages and other pages.
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(total))

@@ -20,7 +20,7 @@ from operator import add, or_
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie, gather
@@ -403,9 +403,7 @@ def _straight_bound(tables: Tables, x: Points, outside: Flags) -> Values:
 # Rounding and derivatives
 
 
-def _constant(x: Shaped[Array, "*batch"]) -> Shaped[Array, "*batch"]:
-    """Return ``x``, but differentiate as if it were constant."""
-    return jax.lax.stop_gradient(x)
+_constant = jax.lax.stop_gradient  # returns its argument, but is differentiated as if it were constant
 
 
 @jax.custom_jvp

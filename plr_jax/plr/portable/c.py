@@ -56,7 +56,6 @@ def c_header(program: Program, name: str) -> str:
     # 1. Description and includes.
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     table_bytes = 4 * rows.size + tree.code_type.itemsize * tree.children.size
-    waypoint = f"   {name}_waypoint: next waypoint on the way to the goal; NaN outside the domain."
     introduction = [
         f"#ifndef {guard}",
         f"#define {guard}",
@@ -64,7 +63,7 @@ def c_header(program: Program, name: str) -> str:
         "",
         f"   {name}_distance: distance to the goal from a point of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
-        *([waypoint] * is_sourced),
+        *[f"   {name}_waypoint: next waypoint on the way to the goal; NaN outside the domain."] * is_sourced,
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
         f"   Compiled, its tables take {table_bytes:,} bytes, and its code a few hundred.",
         "",

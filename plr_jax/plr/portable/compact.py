@@ -255,8 +255,9 @@ class _CompactWriter:
         # 2. Append planes, exceptions and rows.
         planes = np.flatnonzero(is_plane)
         at_planes = self._at
-        value = bits_of_floats(self.parameters[planes][:, of_plane])
-        self._write_rows((planes[:, None], self.leaf_bits), (value, 32))
+        self._write_rows(
+            (planes[:, None], self.leaf_bits), (bits_of_floats(self.parameters[planes][:, of_plane]), 32)
+        )
         leaf, term = np.nonzero(is_exception & ~is_plane[:, None])
         at_exceptions = self._at
         value = bits_of_floats(self.parameters[leaf, term])

@@ -50,11 +50,9 @@ class Cone(LeafModel):
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
         if sampler.cache is None:
-            expected = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
+            needed = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
             got = f"{shortened(sampler.distance_fn)} in {sampler.domain.dim} dimensions"
-            raise ValueError(
-                f"Leaves of kind 'cone' need {expected}, got {got}. Use leaf='continuous' for any other."
-            )
+            raise ValueError(f"Leaves of kind 'cone' need {needed}, got {got}. Use leaf='continuous' for any other.")
         if sampler.weight_fn is not None or rules != Rules(largest_error, best_axis):
             options = "weight_fn, should_split or split: they are chosen by proven errors of whole cells"
             advice = "Leave these options out, or use leaf='continuous'."
