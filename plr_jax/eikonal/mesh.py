@@ -253,8 +253,7 @@ class Mesh:
         cell, part = np.divmod(key, len(bits))
         joined = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
         state = np.where(least == most, least, np.int8(CellState.MIXED))
-        has_flush_part = np.bincount(of_part.ravel(), is_flush.ravel()) > 0
-        return joined, state, has_flush_part & (state == CellState.BLOCKED)
+        return joined, state, (np.bincount(of_part.ravel(), is_flush.ravel()) > 0) & (state == CellState.BLOCKED)
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:

@@ -465,7 +465,8 @@ class _Poisson:
         #   (G' V G + goal' stiffness goal) u = load + G' V field + goal' stiffness at_goals.
         # All flow enters a single goal, so there are no terms of goals. The solution is then unique up to a constant,
         # and the first unknown is fixed to 0.
-        weights = diags_array(np.tile(penalty * program.volume, program.space.mesh.dim))
+        dim = program.space.mesh.dim
+        weights = diags_array(np.tile(penalty * program.volume, dim))
         self.divergence = csr_array((weights @ program.gradient).T)
         matrix = self.divergence @ program.gradient
         self.stiffness = stiffness
@@ -477,9 +478,7 @@ class _Poisson:
         # Factor the matrix if the domain has one or two axes, or three and a small or narrow free space, so that its
         # factors are small. Else prepare conjugate gradients, with multigrid as their preconditioner.
         self._factors: Any = None
-        if program.space.mesh.dim <= 2 or (
-            program.space.mesh.dim == 3 and _envelope(self.matrix) <= _LARGEST_ENVELOPE
-        ):
+        if dim <= 2 or (dim == 3 and _envelope(self.matrix) <= _LARGEST_ENVELOPE):
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:

@@ -47,7 +47,7 @@ _FEW_TESTS = 2**18  # most pairs times walls that NumPy answers: at most about a
 _PAIRS_A_GOAL = 8  # pairs that NumPy answers in about the time in which it prepares a goal
 Lengths = Float[Array, "*batch"]
 _Points = Float[Array, "*batch 2"]
-AnyFn = Callable[..., Any]
+_Fn = Callable[..., Any]
 
 
 @serializable
@@ -170,12 +170,7 @@ class PairPLR(FileBacked):
             raise ValueError(f"{name} cannot take links of a building: use the BuildingPairs, or a PLR of each goal.")
 
     def _answer(
-        self,
-        batch: tuple[int, ...],
-        compiled: AnyFn,
-        in_numpy: AnyFn,
-        *points: Any,
-        goals: PreparedGoals | None = None,
+        self, batch: tuple[int, ...], compiled: _Fn, in_numpy: _Fn, *points: Any, goals: PreparedGoals | None = None
     ) -> Any:
         """Return answers for a batch of pairs: ``in_numpy`` for few pairs, else by the ``compiled`` function."""
         # 1. NumPy takes the columns of prepared goals. The compiled function has them, and takes the index of each
@@ -384,8 +379,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Lengths, Lengths]:
     absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
     # 1. The lower bound: paths among walls moved into obstacles, without thin obstacles.
     lower_tables = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
-    least = shortest_ways(lower_tables, x, y).least
-    lower = jnp.maximum(SHRUNK * least - (tables.rounding[0] + absolute), 0.0)
+    lower = jnp.maximum(SHRUNK * shortest_ways(lower_tables, x, y).least - (tables.rounding[0] + absolute), 0.0)
     # 2. The upper bound: paths among walls moved into free space. A point near a wall may be behind the moved wall.
     listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
     upper_tables = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)

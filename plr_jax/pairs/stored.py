@@ -436,8 +436,7 @@ class PairsFileData:
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
             raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
-        most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
-        entries = _read_lists(lists, tree, count, most)
+        entries = _read_lists(lists, tree, count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
         return PairsFileData(domain, outline, corner, edges, tree, *entries, rounding, container.label, places, arcs)

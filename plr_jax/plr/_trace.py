@@ -6,7 +6,7 @@ With a workspace, :func:`trace` also tests which sources of the PLR (corners and
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 _ROUNDING = 2.0**-24  # tolerance, in domain widths: four times the rounding of a source's coordinates in a file
+Indices: TypeAlias = Int[np.ndarray, " n"]
 
 
 class TraceStatus(IntEnum):
@@ -182,9 +183,7 @@ class _SourceSight:
             root = root[root]
         self._arrives = self._is_clear & sources.is_goal(root, rounding)
 
-    def free_paths(
-        self, x: Points, first: Int[np.ndarray, " n"]
-    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    def free_paths(self, x: Points, first: Indices) -> tuple[Indices, Bool[np.ndarray, " n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
         The starts are ``x``. ``first`` has the index of a source for each start: the source of its leaf. This source
@@ -212,7 +211,7 @@ class _SourceSight:
         first[failing[is_mended]] = sources[nearest[is_mended, 0]]
         return first, is_free
 
-    def _sees(self, source: Int[np.ndarray, " n"], x: Points) -> Bool[np.ndarray, " n"]:
+    def _sees(self, source: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         """Return whether each point ``x[i]`` sees the source ``source[i]``, up to the tolerance."""
         view = self._view[source]
         sees = view >= 0

@@ -105,8 +105,7 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Points:
     """
     x = _constant(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
-    parameters = _leaf_parameters(tables, find_row(tables, x), x.dtype)
-    source = jnp.stack(tables.leaf.source_of(parameters), axis=-1)
+    source = jnp.stack(tables.leaf.source_of(_leaf_parameters(tables, find_row(tables, x), x.dtype)), axis=-1)
     source = jnp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
     return jnp.where((outside | jnp.isnan(answer))[..., None], np.nan, source)
 

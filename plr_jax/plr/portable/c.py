@@ -42,6 +42,10 @@ class CEmitter(Emitter):
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
 
 
+def c_function(signature: str, statements: list[str]) -> list[str]:
+    return [signature, "{", *indent(statements), "}", ""]
+
+
 def c_header(program: Program, name: str) -> str:
     """Return a C header with the tables of a PLR and the functions that answer queries; see :meth:`PLR.c_header`.
 
@@ -103,22 +107,20 @@ def c_header(program: Program, name: str) -> str:
     # For polynomials, `cell` has for each axis the number of cells like the current one that the domain has, and the
     # index of the current one.
     mask = (1 << tree.kind_bits) - 1
-    descent = [
-        "/* Descends the tree: each split takes the next bit of the position along its axis. */",
-        f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
-        "{",
-        f"    uint32_t code = {tree.root}u;",
-        f"    while ((code & {mask}u) != {dim}u) {{",
-        f"        const uint32_t axis = code & {mask}u;",
-        "        const uint32_t upper = place[axis] >> 31;",
-        "        place[axis] <<= 1;",
-        *(["        cell[axis][0] *= 2;", "        cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells),
-        f"        code = {name}_tree[code >> {tree.kind_bits}][upper];",
-        "    }",
-        f"    return code >> {tree.kind_bits};",
+    statements = [
+        f"uint32_t code = {tree.root}u;",
+        f"while ((code & {mask}u) != {dim}u) {{",
+        f"    const uint32_t axis = code & {mask}u;",
+        "    const uint32_t upper = place[axis] >> 31;",
+        "    place[axis] <<= 1;",
+        *["    cell[axis][0] *= 2;", "    cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells,
+        f"    code = {name}_tree[code >> {tree.kind_bits}][upper];",
         "}",
-        "",
+        f"return code >> {tree.kind_bits};",
     ]
+    signature = f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})"
+    comment = "/* Descends the tree: each split takes the next bit of the position along its axis. */"
+    descent = [comment, *c_function(signature, statements)]
 
     def read_leaf(do: CEmitter, fractions: list[Expression]) -> list[Expression]:
         row, counts = "0", ["1.0f", "0.0f"] * dim
@@ -136,30 +138,26 @@ def c_header(program: Program, name: str) -> str:
     outside = [f"return {do.nan_condition(dim)} ? NAN : INFINITY;"]
     offsets, numbers = do.write_lookup(program, of_type, read_leaf, outside)
     do.statements.append(f"return {program.value(do, offsets, numbers)};")
-    functions = [f"static inline float {name}_distance(const {of_type} x[{dim}])"]
-    functions += ["{", *indent(do.used_statements()), "}", ""]
+    functions = c_function(f"static inline float {name}_distance(const {of_type} x[{dim}])", do.used_statements())
     if is_sourced:
         do = CEmitter(name)
         outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
         _, numbers = do.write_lookup(program, of_type, read_leaf, outside)
         do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
-        functions.append(f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])")
-        functions += ["{", *indent(do.used_statements()), "}", ""]
+        signature = f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])"
+        functions += c_function(signature, do.used_statements())
     # 5. Floors of the types in use; NaN and numbers too large to have a fraction are returned unchanged.
     helpers = []
     for of_type, whole, digits, one in _FLOORS:
         if any(f"{name}_floor_of_{of_type}" in line for line in functions):
-            helpers += [
-                f"static inline {of_type} {name}_floor_of_{of_type}({of_type} v)",
-                "{",
-                f"    if (!(v < {digits} && v > -{digits})) {{",
-                "        return v;",
-                "    }",
-                f"    const {of_type} toward_zero = ({of_type})({whole})v;",
-                f"    return toward_zero > v ? toward_zero - {one} : toward_zero;",
+            statements = [
+                f"if (!(v < {digits} && v > -{digits})) {{",
+                "    return v;",
                 "}",
-                "",
+                f"const {of_type} toward_zero = ({of_type})({whole})v;",
+                f"return toward_zero > v ? toward_zero - {one} : toward_zero;",
             ]
+            helpers += c_function(f"static inline {of_type} {name}_floor_of_{of_type}({of_type} v)", statements)
     return "\n".join([*introduction, *tables, *helpers, *descent * has_tree, *functions, "#endif", ""])
 
 
@@ -171,14 +169,9 @@ def compact_header(program: Program, name: str) -> str:
     require_identifier(name)
     data, dim = compact_bytes(program), program.dim
     of_type, far = ("float", "") if program.corner is None else ("double", "_far")  # of coordinates; of functions
-    waypoint = [
-        "",
-        "/* The next waypoint on the way to the goal; NaN outside the domain. */",
-        f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])",
-        "{",
-        f"    plr_jax_waypoint{far}(&{name}_plr, x, waypoint);",
-        "}",
-    ]
+    signature = f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])"
+    comment = "/* The next waypoint on the way to the goal; NaN outside the domain. */"
+    waypoint = ["", comment, *c_function(signature, [f"plr_jax_waypoint{far}(&{name}_plr, x, waypoint);"])[:-1]]
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     # The features of this PLR, a constant, so that the compiler leaves out code for others.
     features = [f"1u << {code_of_leaf(program.leaf)}u", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]

@@ -255,9 +255,8 @@ class _CompactWriter:
         # 2. Append planes, exceptions and rows.
         planes = np.flatnonzero(is_plane)
         at_planes = self._at
-        self._write_rows(
-            (planes[:, None], self.leaf_bits), (bits_of_floats(self.parameters[planes][:, of_plane]), 32)
-        )
+        value = bits_of_floats(self.parameters[planes][:, of_plane])
+        self._write_rows((planes[:, None], self.leaf_bits), (value, 32))
         leaf, term = np.nonzero(is_exception & ~is_plane[:, None])
         at_exceptions = self._at
         value = bits_of_floats(self.parameters[leaf, term])
@@ -373,8 +372,7 @@ class _Middles:
         for unit in range(1, 1 + _MOST_UNIT):
             mark = self.mark + ((self.mark == 1) & (narrow_bits > unit))
             does_not_fit = _by_record((mark > 1) & (wide_bits > 2 * unit)).any(axis=1)
-            num_units = _by_record(_UNITS[mark].sum(axis=2)).sum(axis=1)
-            sizes.append(np.where(does_not_fit, np.inf, unit * num_units))
+            sizes.append(np.where(does_not_fit, np.inf, unit * _by_record(_UNITS[mark].sum(axis=2)).sum(axis=1)))
         units = 1 + np.argmin(sizes, axis=0)
         # 2. Write all numbers in two's complement.
         of_split = np.repeat(units, _RECORD)[: len(self.mark), None]

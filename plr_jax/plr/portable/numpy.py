@@ -26,6 +26,7 @@ _UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes 
 _CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
 _FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
 _PLAIN = (float, int, np.float64, np.float32)
+Integers = Integer[np.ndarray, " n"]
 
 
 class PythonEmitter(Emitter):
@@ -68,7 +69,7 @@ class LeafTable:
         self._descend(self.table, list(place), bits)
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind_mask == tree.dim).all())
 
-    def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
+    def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integers:
         """Return the index of each point's leaf.
 
         ``fractions`` has an array for each axis: the points' coordinates from the domain's lower end, in units of
@@ -82,9 +83,7 @@ class LeafTable:
         self._descend(code, fractions, np.full(self.tree.dim, FRACTION_BITS))
         return code >> self.tree.kind_bits
 
-    def _descend(
-        self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
-    ) -> None:
+    def _descend(self, code: Integers, fractions: list[Integers], bits: Int[np.ndarray, " d"]) -> None:
         """Descend the tree from the node ``code[i]`` toward the leaf that contains point ``i``.
 
         ``code`` is changed in place; nodes are coded as in :class:`CodedTree`. ``fractions`` has the points'
@@ -141,8 +140,7 @@ def point_query(
     given = [f"x{axis}" for axis in range(program.dim)]
     # Close to the upper end of a periodic axis, wrapping in 64 bits may lead to the lower end.
     unwrapped = np.minimum(domain.lo + domain.width * _UNWRAPPED, np.nextafter(domain.hi, -np.inf))
-    last = np.where(domain.periodic, unwrapped, domain.hi)
-    ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
+    ends = zip(given, domain.lo.tolist(), np.where(domain.periodic, unwrapped, domain.hi).tolist(), strict=True)
     inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
     origin = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist()
     outside = []

@@ -339,8 +339,7 @@ class ConeFiles:
         write_cones(body := BitWriter(), self.domain, cones)
         if cones.sources.goals is not None:
             write_goals(body, cones.sources.goals)
-        num_cut_off = int(np.count_nonzero(source == CUT_OFF))
-        return limits.file_size(self.domain.dim, len(source), body.num_bits, num_cut_off)
+        return limits.file_size(self.domain.dim, len(source), body.num_bits, int(np.count_nonzero(source == CUT_OFF)))
 
     def fit(self, limits: Limits, source: Int[np.ndarray, " leaves"]) -> bool:
         return self.num_bytes(source, limits) <= limits.max_bytes
