@@ -273,11 +273,10 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
         depth += 1
     width = np.ldexp(width, -depth)
     if width.max() > _MOST_SLENDER * width.min():
-        raise ValueError(
-            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
-            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
-        )
+        expected = f"so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide"
+        got = f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times"
+        axis = f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others"
+        raise ValueError(f"max_leaves must be {expected}, but {got}: allow more, or leave out {axis}.")
     # 3. All cells, and their states.
     position = np.indices((1 << depth).tolist()).reshape(domain.dim, -1).T
     cells = Cells(np.tile(depth, (len(position), 1)), position)

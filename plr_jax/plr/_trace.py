@@ -200,12 +200,14 @@ class _SourceSight:
         #    is: starts in obstacles see no source.
         failing = failing[self._workspace.is_visible(x[failing], x[failing], self._tolerance)]
         starts, sources = x[failing], np.flatnonzero(self._arrives)
-        nearest, length = first_visible_in_parts(
-            lambda rows: distances_between(starts[rows], self._points[sources]) + self._distances[sources],
-            len(starts),
-            len(sources),
-            lambda start, source: self._sees(sources[source], starts[start]),
-        )
+
+        def lengths(rows: slice) -> Float[np.ndarray, "rows sources"]:
+            return distances_between(starts[rows], self._points[sources]) + self._distances[sources]
+
+        def sees(start: Indices, source: Indices) -> Bool[np.ndarray, " n"]:
+            return self._sees(sources[source], starts[start])
+
+        nearest, length = first_visible_in_parts(lengths, len(starts), len(sources), sees)
         is_mended = np.isfinite(length[:, 0])
         is_free[failing[is_mended]] = True
         first[failing[is_mended]] = sources[nearest[is_mended, 0]]

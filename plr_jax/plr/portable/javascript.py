@@ -57,10 +57,9 @@ class _ConesFromTables(Program):
     """
 
     def __init__(self) -> None:
-        # 1. The placeholder: the leaves are the halves of the unit square.
+        # 1. The placeholder: the leaves are the halves of the unit square, and the goal is its lower corner.
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
-        goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
-        stored = ConeFiles(goal, domain).stored(np.zeros(2, int))
+        stored = ConeFiles(Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int)), domain).stored(np.zeros(2, int))
         super().__init__(DecodedFile(domain, Cone(), halves, stored))
 
         def named(name: str, of_type: str = "float") -> list[Expression]:

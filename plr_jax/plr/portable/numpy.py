@@ -13,7 +13,7 @@ from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside
-from plr_jax.plr.leaves import as_sourced, goal_of_leaves, require_goals
+from plr_jax.plr.leaves import goal_of_leaves, require_goals
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
 from plr_jax.plr.portable.c import c_header, compact_header
 from plr_jax.plr.portable.compact import compact_bytes
@@ -262,7 +262,6 @@ class NumpyPLR:
 
     def waypoint(self, x: ArrayLike) -> Any:
         """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`."""
-        as_sourced(self._program.leaf)
         return self._of_leaves(x, self._waypoint_rows)
 
     def which(self, x: ArrayLike) -> Any:
