@@ -253,8 +253,7 @@ class Mesh:
         cell, part = np.divmod(key, len(bits))
         joined = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
         state = np.where(least == most, least, np.int8(CellState.MIXED))
-        has_flush_part = np.bincount(of_part.ravel(), is_flush.ravel()) > 0
-        return joined, state, has_flush_part & (state == CellState.BLOCKED)
+        return joined, state, (np.bincount(of_part.ravel(), is_flush.ravel()) > 0) & (state == CellState.BLOCKED)
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
@@ -274,11 +273,10 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
         depth += 1
     width = np.ldexp(width, -depth)
     if width.max() > _MOST_SLENDER * width.min():
-        raise ValueError(
-            f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
-            f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
-        )
+        expected = f"so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide"
+        got = f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times"
+        axis = f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others"
+        raise ValueError(f"max_leaves must be {expected}, but {got}: allow more, or leave out {axis}.")
     # 3. All cells, and their states.
     position = np.indices((1 << depth).tolist()).reshape(domain.dim, -1).T
     cells = Cells(np.tile(depth, (len(position), 1)), position)
@@ -332,8 +330,7 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         # 2. Find which cells around each are open.
         places = middle[:, None] + signs * inset
         around = mesh.locate(np.where(periodic, places % 1.0, places).reshape(-1, dim)).reshape(places.shape[:2])
-        is_inside = (((places > 0) & (places < 1)) | periodic).all(axis=2)
-        is_open = (mesh.state[around] != CellState.BLOCKED) & is_inside
+        is_open = (((places > 0) & (places < 1)) | periodic).all(axis=2) & (mesh.state[around] != CellState.BLOCKED)
         # 3. Beside the edge, an open cell may be blocked: classify a small box between the edge and the place in it.
         edge, side = np.nonzero(is_open & are_parted(is_open)[:, None])
         beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * inset)

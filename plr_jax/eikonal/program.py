@@ -291,10 +291,6 @@ class SlopeProgram:
         costs = cell_costs(space, cost_map, mesh)
         return cls(functions, gradient, costs, volume, functions.basis_integrals(), goal, goals)
 
-    @property
-    def dim(self) -> int:
-        return self.space.mesh.dim
-
     @cached_property
     def goal_cells(self) -> CellIndex:
         return self.space.mesh.locate(self.at)
@@ -319,11 +315,11 @@ class SlopeProgram:
 
     def gradients(self, u: Dofs) -> Vectors:
         # Bernstein coefficients, with each axis divided by its weight in the cost of motions.
-        return (self.gradient @ u).reshape(self.dim, -1)
+        return (self.gradient @ u).reshape(self.space.mesh.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
         # The mean of a polynomial over a cell is the mean of its Bernstein coefficients.
-        return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
+        return self.gradients(u).reshape(self.space.mesh.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> Curve:
         # See `rescaling_of`: it makes `u` a lower bound, rounding included. Bernstein coefficients enclose the values
@@ -341,7 +337,7 @@ class SlopeProgram:
         the cell. ``rise`` is the rise of the lower bound along this flow; it is 0 if the cell is not proven free.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
-        flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
+        flow = iterate.flow.reshape(self.space.mesh.dim, -1, num_controls).mean(axis=2).T
         doubt = self._linear(self.costs.most) / self.sets.radius  # upper over lower bound of the cost of a motion
         cost = (doubt * self.sets.costs(iterate.flow)).reshape(-1, num_controls).mean(axis=1)
         rise = np.sum(flow * self.mean_gradients(iterate.values), axis=1)
@@ -370,7 +366,7 @@ class SlopeProgram:
         # Before the iterations in `factor_at`, penalties are fitted to the flow, and the matrix is factored again.
         # Without a start, the first iterate has no flow (see `_Splitting`).
         if start is None:
-            flow = np.zeros((self.dim, len(self.volume)))
+            flow = np.zeros((self.space.mesh.dim, len(self.volume)))
             start = Iterate(np.zeros(len(self.weight)), flow, np.full(len(self.at), self.weight.sum()))
         splitting = _Splitting(self, start, _LEAST_PENALTY)
         for iteration in range(num_iterations):
@@ -469,7 +465,8 @@ class _Poisson:
         #   (G' V G + goal' stiffness goal) u = load + G' V field + goal' stiffness at_goals.
         # All flow enters a single goal, so there are no terms of goals. The solution is then unique up to a constant,
         # and the first unknown is fixed to 0.
-        weights = diags_array(np.tile(penalty * program.volume, program.dim))
+        dim = program.space.mesh.dim
+        weights = diags_array(np.tile(penalty * program.volume, dim))
         self.divergence = csr_array((weights @ program.gradient).T)
         matrix = self.divergence @ program.gradient
         self.stiffness = stiffness
@@ -481,7 +478,7 @@ class _Poisson:
         # Factor the matrix if the domain has one or two axes, or three and a small or narrow free space, so that its
         # factors are small. Else prepare conjugate gradients, with multigrid as their preconditioner.
         self._factors: Any = None
-        if program.dim <= 2 or (program.dim == 3 and _envelope(self.matrix) <= _LARGEST_ENVELOPE):
+        if dim <= 2 or (dim == 3 and _envelope(self.matrix) <= _LARGEST_ENVELOPE):
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:

@@ -203,7 +203,6 @@ class GridPairs:
         """
         require_identifier(name)
         tables, distances = self.tables, self.tables.distances
-        is_table = isinstance(distances, CornerTable)
         arrays = {"free": tables.sight.free, "sums": tables.sight.sums}
         arrays |= {key: getattr(tables, key) for key in ("group_block", "cell_block", "blocks", "row", "column")}
         arrays |= {field.name: getattr(distances, field.name) for field in fields(distances)}
@@ -227,7 +226,7 @@ class GridPairs:
         rows, columns = tables.shape
         marks = {
             "SIGHT": sections[f"sight {tables.connectivity}"],
-            "DISTANCES": sections["distances by table" if is_table else "distances by labels"],
+            "DISTANCES": sections["distances by " + ("table" if isinstance(distances, CornerTable) else "labels")],
             "ARRAYS": "\n".join(accessors),
             "ROWS": rows,
             "COLUMNS": columns,

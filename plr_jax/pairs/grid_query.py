@@ -379,8 +379,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
         is_better = (lengths.min(axis=1) < length) & (block < count)
         return bits | is_better.astype(jnp.uint32) << block.astype(jnp.uint32)
 
-    none = jnp.zeros_like(count, jnp.uint32)
-    return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
+    return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, jnp.zeros_like(count, jnp.uint32))
 
 
 class _PendingBlocks(NamedTuple):

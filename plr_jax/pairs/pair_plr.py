@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 _BLOCKS = (2**10, 2**14)  # pairs in a block of compiled code: in small and in large batches
 _FEW_TESTS = 2**18  # most pairs times walls that NumPy answers: at most about as slowly as a compiled block
 _PAIRS_A_GOAL = 8  # pairs that NumPy answers in about the time in which it prepares a goal
+Lengths = Float[Array, "*batch"]
+_Points = Float[Array, "*batch 2"]
+_Fn = Callable[..., Any]
 
 
 @serializable
@@ -66,9 +69,7 @@ class PairPLR(FileBacked):
         with jax.ensure_compile_time_eval():  # also inside a traced function
             return build_pair_tables(self.stored, self.table_class)
 
-    def __call__(
-        self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
-    ) -> Float[Array, "*batch"]:
+    def __call__(self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf") -> Lengths:
         """Return the distance between points, ``(...)``: the length of the shortest path in free space.
 
         The distance is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in
@@ -94,10 +95,8 @@ class PairPLR(FileBacked):
         batch = broadcast_shape("x and goals", x, y.points)[:-1]
         size, corners = y.to_corners.shape[-1], self._table_size
         if size != corners:
-            raise ValueError(
-                f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size} corners: "
-                "call prepared of these pairs."
-            )
+            expected = f"Goals must have been prepared by these pairs, of {corners} corners"
+            raise ValueError(f"{expected}, got goals of {size} corners: call prepared of these pairs.")
         in_numpy = partial(NumpyPairs.distances_to, outside=outside)
         return self._answer(batch, partial(_distances_to, goals=y, outside=outside), in_numpy, x, goals=y)[0]
 
@@ -124,7 +123,7 @@ class PairPLR(FileBacked):
         to_corners = distances_to_corners(self.tables, jax.lax.stop_gradient(inside))
         return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
-    def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Lengths, Lengths]:
         """Return proven lower and upper bounds, ``(...)`` each, of the distance between points of free space.
 
         Points and errors are as for a call. The proof includes rounding of the file and of the query. It holds for
@@ -134,8 +133,7 @@ class PairPLR(FileBacked):
         """
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         batch = broadcast_shape("x and y", x, y)[:-1]
-        lower, upper = self._answer(batch, _bounds, NumpyPairs.bounds_between, x, y)
-        return lower, upper
+        return self._answer(batch, _bounds, NumpyPairs.bounds_between, x, y)
 
     def to(self, goal: ArrayLike) -> PLR:
         """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
@@ -172,13 +170,8 @@ class PairPLR(FileBacked):
             raise ValueError(f"{name} cannot take links of a building: use the BuildingPairs, or a PLR of each goal.")
 
     def _answer(
-        self,
-        batch: tuple[int, ...],
-        compiled: Callable[..., tuple[Array, ...]],
-        in_numpy: Callable[..., np.ndarray],
-        *points: Array | np.ndarray,
-        goals: PreparedGoals | None = None,
-    ) -> tuple[Array, ...]:
+        self, batch: tuple[int, ...], compiled: _Fn, in_numpy: _Fn, *points: Any, goals: PreparedGoals | None = None
+    ) -> Any:
         """Return answers for a batch of pairs: ``in_numpy`` for few pairs, else by the ``compiled`` function."""
         # 1. NumPy takes the columns of prepared goals. The compiled function has them, and takes the index of each
         #    goal: so the parts of a batch share the goals.
@@ -323,7 +316,7 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 
 
 @partial(jax.jit, static_argnames="outside")
-def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
+def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Lengths]:
     """Return distances between points ``x`` and ``y``, both relative to the middle of the domain."""
     if outside == "clamp":
         (x, shift_x), (y, shift_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
@@ -353,7 +346,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 @partial(jax.jit, static_argnames="outside")
 def _distances_to(
     tables: PairTables, x: Array, index: Array, goals: PreparedGoals, outside: Outside
-) -> tuple[Float[Array, "*batch"]]:
+) -> tuple[Lengths]:
     """Return distances from points ``(..., 2)`` to the goals of given indices ``(..., 1)``, which broadcast."""
     if outside == "clamp":
         x, shift = _clamped(tables, x.astype(_floats_of(x)))
@@ -372,7 +365,7 @@ def _distances_to(
 
 
 @jax.jit
-def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Lengths, Lengths]:
     """Return proven lower and upper bounds of the distances between points ``x`` and ``y``.
 
     Points are relative to the middle of the domain.
@@ -386,8 +379,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
     # 1. The lower bound: paths among walls moved into obstacles, without thin obstacles.
     lower_tables = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
-    least = shortest_ways(lower_tables, x, y).least
-    lower = jnp.maximum(SHRUNK * least - (tables.rounding[0] + absolute), 0.0)
+    lower = jnp.maximum(SHRUNK * shortest_ways(lower_tables, x, y).least - (tables.rounding[0] + absolute), 0.0)
     # 2. The upper bound: paths among walls moved into free space. A point near a wall may be behind the moved wall.
     listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
     upper_tables = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
@@ -398,9 +390,7 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     return lower, upper
 
 
-def _clamped(
-    tables: PairTables, x: Float[Array, "*batch 2"]
-) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch"]]:
+def _clamped(tables: PairTables, x: _Points) -> tuple[_Points, Lengths]:
     """Move finite points outside the domain to the nearest point of the domain; also return how far they move."""
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     is_beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))  # by axis
@@ -435,7 +425,7 @@ def _floats_of(*points: Any) -> Any:
     return jnp.float64 if jnp.float64 in [p.dtype for p in points] else jnp.float32
 
 
-def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+def _ends(tables: PairTables, x: _Points) -> _Points:
     # The largest coordinates of points in the domain, with a margin for the rounding of points.
     ends = tables.half + ENDS * (tables.half + jnp.abs(tables.middle[0]))
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)

@@ -30,6 +30,8 @@ _AT_ONCE = 2**19  # pairs of a segment and a wall that are tested together
 _PAIRS = 2**12  # pairs of points that are answered together
 _Points = Float[np.ndarray, "n 2"]
 _Lengths = Float[np.ndarray, "n"]
+_Flags = Bool[np.ndarray, " n"]
+_Paths = Callable[..., tuple[Any, Any, Any]]  # see :func:`_shortest`
 
 
 def point_rounding(half: Any, middle: Any) -> Any:
@@ -66,9 +68,7 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
     return crosses & b_is_left & ~a_is_left, crosses & a_is_left & ~b_is_left
 
 
-def are_crossed(
-    p: _Points, q: _Points, walls: Float[np.ndarray, "4 walls"], both_ways: bool = False
-) -> Bool[np.ndarray, " n"]:
+def are_crossed(p: _Points, q: _Points, walls: Float[np.ndarray, "4 walls"], both_ways: bool = False) -> _Flags:
     """Return whether each segment from ``p[i]`` to ``q[i]`` crosses any wall.
 
     With ``both_ways``, the segment must cross both a wall into an obstacle and a wall out of an obstacle. Columns of
@@ -145,7 +145,7 @@ class MovedObstacles:
     def wall_ends(self) -> Float[np.ndarray, "4 walls"]:
         return np.ascontiguousarray(self.walls.T, np.float32)
 
-    def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, " n"]:
+    def hides(self, p: _Points, q: _Points) -> _Flags:
         """Return whether walls hide ``q[i]`` from ``p[i]``.
 
         If ``is_certain``, one crossed wall hides the point. Otherwise the segment must cross both a wall into an
@@ -352,11 +352,7 @@ def _in_blocks(
 
 
 def _shortest(
-    obstacles: MovedObstacles,
-    p: _Points,
-    q: _Points,
-    paths: Callable[..., tuple[Any, Any, Any]],
-    has_arcs: bool = False,
+    obstacles: MovedObstacles, p: _Points, q: _Points, paths: _Paths, has_arcs: bool = False
 ) -> tuple[_Lengths, _Points, _Points]:
     """Return the length, the first turn and the last turn of the shortest path from each ``p[i]`` to ``q[i]``.
 

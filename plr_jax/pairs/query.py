@@ -68,27 +68,13 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 
 
 @pytree
-class _Pairs:
-    """Pairs of points, the leaves that hold the points, and lower bounds of path lengths through listed corners."""
-
-    x: Points
-    y: Points
-    leaf_x: Rows
-    leaf_y: Rows  # for prepared goals, the index of the goal instead
-    # For each corner that the leaf of `x` lists, a lower bound of the path length through it and, in the last bits,
-    # its place in the list: compilers find a minimum fast, but its place slowly. Bits of floats of at least 0 are in
-    # the order of the floats.
-    keys: UInt32[Array, "n longest"]
-
-
-@pytree
 class _Search:
     """The state of a search for the shortest paths between pairs of points."""
 
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
     via_y: Rows  # place of the path's last turn in the list of the second point's leaf; the list's length if straight
-    key: Rows  # smallest of `_Pairs.keys` that is not yet tried
+    key: Rows  # smallest of the pair's keys that is not yet tried: see :func:`_after_all_rounds`
     # A bit for each corner of the second point's list: whether it is known to be hidden from the point.
     hidden_y: UInt32[Array, "n words"]
 
@@ -147,7 +133,7 @@ def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal
         slopes = ((packed >> shift & 255).astype(jnp.float32) - STEEPEST for shift in (np.uint32(16), np.uint32(24)))
         away = (y - tables.middles[leaf_y]) / STEEPEST
         onward = length + sum(slope * along[:, None] for slope, along in zip(slopes, away.T, strict=True))
-    # A key has the bits of the bound, the last ones replaced by the place of the corner in the list (`_Pairs.keys`).
+    # A key has the bits of the bound, the last ones replaced by the place of the corner in the list.
     bounds = jax.lax.bitcast_convert_type(jnp.maximum(_legs(tables, leaf_x, x) + onward, 0), jnp.uint32)
     keys = jax.lax.optimization_barrier(bounds & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
     # 2. Finish the pairs that see one another.
@@ -156,8 +142,7 @@ def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal
     no_turn = jnp.full(x.shape[0], longest, jnp.uint32)
     search = _Search(straight, no_turn, no_turn, keys.min(axis=1), none_hidden)
     # 3. Search in rounds. Then look up the turns.
-    pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
-    search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
+    search = _after_all_rounds(partial(_after_round, tables, to_corners), search, x, y, leaf_x, leaf_y, keys)
     is_straight = (search.via_x == longest)[:, None]
     from_x = jnp.where(is_straight, y, _corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
     from_y = x
@@ -166,36 +151,44 @@ def _ways(tables: PairTables, to_corners: _ToCorners, x: Points, y: Points, goal
     return Ways(search.length, jnp.minimum(search.length, _bound_of(search.key, longest)), from_x, from_y)
 
 
-def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
-    """Repeat ``after_round`` until no pair of points has a corner left to try that may give a shorter path."""
-    # The search ends: each round drops a corner from a list of each open pair of points.
-    size = search.length.shape[0]
+def _after_all_rounds(after_round: Callable[..., _Search], search: _Search, *pairs: Array) -> _Search:
+    """Repeat ``after_round`` until no pair of points has a corner left to try that may give a shorter path.
+
+    ``pairs`` are arrays with a row for each pair of points: the points ``x`` and ``y``; the leaves that hold the
+    points, for prepared goals the index of the goal instead of the second leaf; and keys, ``(n, longest)``. A key is
+    for a corner that the leaf of ``x`` lists: a lower bound of the path length through the corner and, in the last
+    bits, the corner's place in the list.
+    """
+    # Compilers find a minimum of keys fast, but the place of a minimum slowly. Bits of floats of at least 0 are in
+    # the order of the floats. The search ends: each round drops a corner from a list of each open pair of points.
+    size, longest = pairs[-1].shape
 
     def is_open(search: _Search) -> Flags:
-        return _bound_of(search.key, pairs.keys.shape[1]) < search.length
+        return _bound_of(search.key, longest) < search.length
 
     def round_of_all(search: _Search) -> _Search:
         stays = ~is_open(search)
-        after = after_round(search, pairs)
+        after = after_round(search, *pairs)
         return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
     def round_of_open(search: _Search) -> _Search:
-        return updated(search, is_open(search), _SEARCHED, after_round, pairs, leaves_rest=True)
+        return updated(search, is_open(search), _SEARCHED, after_round, *pairs, leaves_rest=True)
 
     each_round = round_of_all if is_symbolic_dim(size) or size <= _FEW else round_of_open
     return jax.lax.while_loop(lambda search: is_open(search).any(), each_round, search)
 
 
-def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pairs: _Pairs) -> _Search:
+def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, *pairs: Array) -> _Search:
     """Return the state of the search after trying one more first turn for each pair of points.
 
-    This turn is the corner that ``search.key`` encodes, from the list of the first point's leaf.
+    This turn is the corner that ``search.key`` encodes, from the list of the first point's leaf. For ``pairs`` see
+    :func:`_after_all_rounds`.
     """
     # Below, `first` and `last` are places in lists, `corner` is an index of a corner, and `turn_x` is a point.
-    x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
+    (x, y, leaf_x, leaf_y, keys), size = pairs, len(tables.distances)
     # 1. Decode the place of the first turn. The next key is the least one that is larger.
-    first = search.key & _place_bits(pairs.keys.shape[1])
-    next_key = jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY).min(axis=1)
+    first = search.key & _place_bits(keys.shape[1])
+    next_key = jnp.where(keys > search.key[:, None], keys, _LAST_KEY).min(axis=1)
     turn_x = _corner_of(tables, leaf_x, first)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
     if to_corners is not None:  # the distance from the first turn to a prepared goal is known
@@ -206,7 +199,7 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, pa
         return replace(search, length=length, via_x=via_x, key=next_key)
     # 2. Find the last turn of the shortest path from there. Corners that are known to be hidden are left out: place p
     #    in a list has bit p % 32 of word p // 32 of `hidden_y`.
-    columns = np.arange(pairs.keys.shape[1], dtype=np.uint32)[None]
+    columns = np.arange(keys.shape[1], dtype=np.uint32)[None]
     bits = search.hidden_y[:, :, None] >> np.arange(32, dtype=np.uint32)[None, None]
     is_left_out = (bits.reshape(bits.shape[0], -1)[:, : columns.size] & 1).astype(bool)
     listed = tables.listed[leaf_y].astype(jnp.uint32)

@@ -21,6 +21,8 @@ from plr_jax.plr.tree import Cells, Tree
 MITRE = 4.0  # most that a point moves if walls move by 1; tips may move farther, and added walls then close the gap
 _COUNT_BITS = 32  # of the number of rings in a file
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
+Vectors = Int[np.ndarray, "points 2"]
+Entries = Int[np.ndarray, " entries"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +101,7 @@ class Outline:
         following[previous[order]] = contact[order[np.where(is_last, first, np.arange(len(contact)) + 1)]]
         return following
 
-    def _beside(
-        self, following: Int[np.ndarray, " points"]
-    ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
+    def _beside(self, following: Int[np.ndarray, " points"]) -> tuple[Vectors, Vectors]:
         """Return the wall that arrives at each point and the wall that leaves the point, as vectors.
 
         ``following`` is the index of the next point. In place of a wall without length, the result has the next wall
@@ -298,8 +298,7 @@ def distances_by_rows(
     adjacency = Graph(points, edges, arcs=arcs).adjacency
     step = max(1, _DISTANCES_AT_ONCE // max(1, len(points)))
     for begin in range(0, len(points), step):
-        rows = np.arange(begin, min(begin + step, len(points)))
-        yield begin, dijkstra(adjacency, indices=rows)
+        yield begin, dijkstra(adjacency, indices=np.arange(begin, min(begin + step, len(points))))
 
 
 def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
@@ -331,8 +330,8 @@ class PairsFileData:
     tree: Tree
     # List entries: a leaf, and a corner where shortest paths from the leaf may turn first. Sorted by leaf, then
     # corner.
-    leaf: Int[np.ndarray, " entries"]
-    listed: Int[np.ndarray, " entries"]
+    leaf: Entries
+    listed: Entries
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
     # Points of free space at which paths may turn in any direction, such as ends of stairs. They count as corners,
@@ -421,9 +420,9 @@ class PairsFileData:
             (body,) = others
             rounding = _read_rounding(body)
         number = body.read_members(num_pairs := comb(count, 2))
-        thin, places, arcs = np.zeros(0, np.int64), np.zeros((0, 2)), NO_ARCS
+        places, arcs = np.zeros((0, 2)), NO_ARCS
         if not body.at_end():
-            thin = np.flatnonzero(body.read_set(len(outline.points)))
+            outline = replace(outline, thin=np.flatnonzero(body.read_set(len(outline.points))))
         if not body.at_end():
             places, arcs = _read_places(body, count)
             count += len(places)
@@ -438,12 +437,10 @@ class PairsFileData:
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
             raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
-        most = max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data))
-        leaf, listed = _read_lists(lists, tree, count, most)
+        entries = _read_lists(lists, tree, count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        columns = tree, leaf, listed, rounding, container.label, places, arcs
-        return PairsFileData(domain, replace(outline, thin=thin), corner, edges, *columns)
+        return PairsFileData(domain, outline, corner, edges, tree, *entries, rounding, container.label, places, arcs)
 
 
 def most_leaves(num_corners: int) -> int:
@@ -456,11 +453,11 @@ def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "
     if num_corners + num_places > MOST_CORNERS:
         raise ValueError(f"it may have at most {MOST_CORNERS} corners and places, got {num_corners + num_places}")
     places, lengths = body.read_doubles(2 * num_places).reshape(-1, 2), body.read_doubles(num_arcs)
-    start, end = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
+    ends = body.read_fixed_width(2 * num_arcs, _COUNT_BITS).reshape(2, -1)
     is_valid = np.isfinite(places).all() and np.isfinite(lengths).all() and (lengths >= 0).all()
-    if not is_valid or max(start.max(initial=0), end.max(initial=0)) >= num_places:
+    if not is_valid or ends.max(initial=0) >= num_places:
         raise ValueError("its places or arcs are invalid")
-    return places, Arcs(num_corners + start, num_corners + end, lengths)
+    return places, Arcs(*(num_corners + ends), lengths)
 
 
 def _read_rounding(body: BitReader) -> float:
@@ -470,9 +467,7 @@ def _read_rounding(body: BitReader) -> float:
     return rounding
 
 
-def _read_lists(
-    body: BitReader, tree: Tree, count: int, most: int
-) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
+def _read_lists(body: BitReader, tree: Tree, count: int, most: int) -> tuple[Entries, Entries]:
     """Decode the lists of corners; return the leaf and the corner of each list entry as indices, sorted by leaf.
 
     ``count`` is the number of corners. ``ValueError`` if the lists have more than ``most`` entries.

@@ -101,9 +101,7 @@ class PLR(FileBacked):
         if (reader := self._reader_of_few(x)) is not None:
             return jax.device_put(reader(x, outside=outside))
         tables, x = self.tables_and_points(x)
-        if outside == "inf":
-            return evaluate_points(tables, x)
-        return evaluate_anywhere(tables, x, as_outside(outside))
+        return evaluate_points(tables, x) if outside == "inf" else evaluate_anywhere(tables, x, as_outside(outside))
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
         """Return a NumPy reader that answers at points ``x`` as JAX does, but without compiling; None if it cannot.
@@ -121,8 +119,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _reader(self) -> NumpyPLR | None:
-        can_read = is_on_one_host(*jax.tree.leaves(self)) and self.has_arrays_of_file
-        return self.numpy() if can_read else None
+        return self.numpy() if is_on_one_host(*jax.tree.leaves(self)) and self.has_arrays_of_file else None
 
     def tables_and_points(self, x: Array | np.ndarray) -> tuple[Tables, Array | np.ndarray]:
         """Return the lookup tables for a query at points ``x``, and the points in the form that these tables take.
@@ -250,16 +247,15 @@ class PLR(FileBacked):
         Such a PLR also answers inside ``jit``, for points ``(..., dim)``. Any other PLR of several goals loses them
         when it is saved, and does not answer inside ``jit``; see :meth:`with_nearest_goal`.
         """
-        if self.nearest_goal and not isinstance(x, Tracer):
-            x = as_points("x", x, self.dim)
+        if isinstance(x, Tracer):
+            return goals_of_points(self.tables, require_goals(self.goals), x)
+        x = as_points("x", x, self.dim)
+        if self.nearest_goal:
             is_finite = np.isfinite(np.asarray(self(x)))
             goal = np.full(len(x), -1)
             goal[is_finite] = self.nearest_goal(x[is_finite])
             return goal
         goals = require_goals(self.goals)
-        if isinstance(x, Tracer):
-            return goals_of_points(self.tables, goals, x)
-        x = as_points("x", x, self.dim)
         if (reader := self._reader_of_few(x)) is not None:
             return reader.which(x)
         tables, x = self.tables_and_points(x)

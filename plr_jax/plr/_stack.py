@@ -291,20 +291,12 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
-    frames = [
-        replace(
-            each,
-            bits=np.zeros_like(each.bits),
-            blocks=None,
-            pages=None,
-            leaf_of_slot=np.zeros(0, np.uint16),
-            leaf_parameters=np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
-        )
-        for each in tables
-    ]
-    for i, frame in enumerate(frames):
-        of_straight = tuple(array.shape for array in frame.straight or ())
-        kinds.setdefault((jax.tree_util.tree_structure(frame), of_straight), []).append(i)
+    frames, no_lookup = [], {"blocks": None, "pages": None, "leaf_of_slot": np.zeros(0, np.uint16)}
+    for i, each in enumerate(tables):
+        no_leaves = np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32)
+        frames.append(replace(each, bits=np.zeros_like(each.bits), leaf_parameters=no_leaves, **no_lookup))
+        of_straight = tuple(array.shape for array in each.straight or ())
+        kinds.setdefault((jax.tree_util.tree_structure(frames[i]), of_straight), []).append(i)
     # 3. Merge the tables of each group.
     group, place = np.zeros((2, len(plrs)), np.uint32)
     groups = []

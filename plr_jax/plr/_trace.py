@@ -6,7 +6,7 @@ With a workspace, :func:`trace` also tests which sources of the PLR (corners and
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
 _ROUNDING = 2.0**-24  # tolerance, in domain widths: four times the rounding of a source's coordinates in a file
+Indices: TypeAlias = Int[np.ndarray, " n"]
 
 
 class TraceStatus(IntEnum):
@@ -145,8 +146,8 @@ def trace_by_sources(
     paths = paths[:, : max(1, counts.max(initial=1))]
 
     # 3. Find how each path ends. Roots with numbers are goals, or places from which paths jump to other sources.
-    is_at_goal = (sources.offsets[chain[:, -1]] <= rounding) | (sources.goals is not None)
-    status = np.where(is_at_goal[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    ends_at_goal = sources.is_goal(chain[:, -1], rounding)[row]
+    status = np.where(ends_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     status[~is_free] = TraceStatus.CROSSES_WALL
 
     # 4. Add rows for starts without a path.
@@ -189,11 +190,9 @@ class _SourceSight:
         while (root[root] != root).any():
             self._is_clear &= self._is_clear[root]
             root = root[root]
-        self._arrives = self._is_clear & ((sources.offsets[root] <= rounding) | (sources.goals is not None))
+        self._arrives = self._is_clear & sources.is_goal(root, rounding)
 
-    def free_paths(
-        self, x: Points, first: Int[np.ndarray, " n"]
-    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    def free_paths(self, x: Points, first: Indices) -> tuple[Indices, Bool[np.ndarray, " n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
         The starts are ``x``. ``first`` has the index of a source for each start: the source of its leaf. This source
@@ -210,18 +209,20 @@ class _SourceSight:
         #    is: starts in obstacles see no source.
         failing = failing[self._workspace.is_visible(x[failing], x[failing], self._tolerance)]
         starts, sources = x[failing], np.flatnonzero(self._arrives)
-        nearest, length = first_visible_in_parts(
-            lambda rows: distances_between(starts[rows], self._points[sources]) + self._distances[sources],
-            len(starts),
-            len(sources),
-            lambda start, source: self._sees(sources[source], starts[start]),
-        )
+
+        def lengths(rows: slice) -> Float[np.ndarray, "rows sources"]:
+            return distances_between(starts[rows], self._points[sources]) + self._distances[sources]
+
+        def sees(start: Indices, source: Indices) -> Bool[np.ndarray, " n"]:
+            return self._sees(sources[source], starts[start])
+
+        nearest, length = first_visible_in_parts(lengths, len(starts), len(sources), sees)
         is_mended = np.isfinite(length[:, 0])
         is_free[failing[is_mended]] = True
         first[failing[is_mended]] = sources[nearest[is_mended, 0]]
         return first, is_free
 
-    def _sees(self, source: Int[np.ndarray, " n"], x: Points) -> Bool[np.ndarray, " n"]:
+    def _sees(self, source: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         """Return whether each point ``x[i]`` sees the source ``source[i]``, up to the tolerance."""
         view = self._view[source]
         sees = view >= 0

@@ -57,14 +57,8 @@ class Layer:
 class Header:
     """The header of a file: the domain, and the kinds of data in the file's layers."""
 
-    domain: Box
-    leaf_code: int  # of the last layer
-    proof_code: int = 0
-    folding: Folding | None = None
-    label: str = ""
+    container: "Container"  # the described file; of its layers, only the codes of the last one count
     sizes: tuple[int, ...] = ()  # bytes of each layer but the last
-    names_goals: bool = False  # whether the layer, of cones, names the goals to which their paths lead
-    has_cut_off: bool = False  # whether the layer names leaves that answer ``inf``
 
     @cached_property
     def data(self) -> bytes:
@@ -72,18 +66,18 @@ class Header:
         # After MAGIC, from the highest bit down:
         #   first byte   | number of axes, 0 if a varint follows: 4 | version: 4 |
         #   second byte  | floats: 1 | extended: 1 | folded: 1 | kind of proof: 2 | leaf model: 3 |
-        dim = self.domain.dim
-        domain, is_floats = domain_to_bytes(self.domain)
+        file, dim, folding = self.container, self.container.domain.dim, self.container.folding
+        domain, is_floats = domain_to_bytes(file.domain)
         if dim > MOST_AXES:
             raise ValueError(f"A domain must have at most {MOST_AXES} axes, got {dim}.")
         fits = dim <= _MOST_IN_BITS
-        label = self.label.encode()
-        flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
-        version = VERSION + _NAMING_GOALS * self.names_goals + _WITH_CUT_OFF * self.has_cut_off
-        parts = [MAGIC, bytes([version | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
-        parts += [b"" if fits else varint(dim), domain]
-        if self.folding is not None:
-            parts.append(folding_to_bytes(self.folding))
+        label = file.label.encode()
+        flags = _FOLDED * (folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
+        version = VERSION + _NAMING_GOALS * file.names_goals + _WITH_CUT_OFF * file.has_cut_off
+        kinds = file.last.leaf_code | file.last.proof_code << 3 | flags
+        parts = [MAGIC, bytes([version | (dim * fits) << 4, kinds]), b"" if fits else varint(dim), domain]
+        if folding is not None:
+            parts.append(folding_to_bytes(folding))
         if flags & _EXTENDED:
             parts += [varint(len(label)), label, varint(len(self.sizes)), *map(varint, self.sizes)]
         return b"".join(parts)
@@ -133,7 +127,8 @@ class Header:
                 raise ValueError("it is a progressive file of PLRs, which only plr_jax 0.1 reads; build it again")
             sizes = tuple(reader.varint() for _ in range(count))
         # 3. Every header has one encoding: no other one decodes to it.
-        header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes, names_goals, has_cut_off)
+        last = Layer(second & 7, b"", second >> 3 & 3)
+        header = Header(Container(domain, (last,), folding, label, names_goals, has_cut_off), sizes)
         if header.data != data[: reader.at]:
             raise ValueError("its header is not in canonical form")
         return header
@@ -150,8 +145,8 @@ class Container:
     layers: tuple[Layer, ...]
     folding: Folding | None = None
     label: str = ""
-    names_goals: bool = False
-    has_cut_off: bool = False
+    names_goals: bool = False  # whether the layer, of cones, names the goals to which their paths lead
+    has_cut_off: bool = False  # whether the layer names leaves that answer ``inf``
 
     @property
     def last(self) -> Layer:
@@ -165,10 +160,7 @@ class Container:
         """Encode the file: the header, then each layer with a checksum of the header and of all layers so far."""
         *first, last = self.layers
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
-        sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
-        codes = last.leaf_code, last.proof_code
-        header = Header(self.domain, *codes, self.folding, self.label, sizes, self.names_goals, self.has_cut_off)
-        data = header.data
+        data = Header(self, tuple(len(part) + _CRC.size for part in parts[:-1])).data
         crc = zlib.crc32(data)
         for part in parts:
             crc = zlib.crc32(part, crc)
@@ -181,6 +173,7 @@ class Container:
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
+        last = header.container.last
         start, crc, layers = len(header.data), zlib.crc32(header.data), []
         for end in (*header.marks, len(data)):
             if layers and start == len(data):
@@ -191,16 +184,14 @@ class Container:
             part, checksum = data[start : end - _CRC.size], data[end - _CRC.size : end]
             if (crc := zlib.crc32(part, crc)) != _CRC.unpack(checksum)[0]:
                 raise ValueError("its checksum does not match: the file is truncated or corrupt")
-            codes = (header.leaf_code, header.proof_code) if is_last else (part[0] & 15, part[0] >> 4)
-            layers.append(Layer(codes[0], part if is_last else part[1:], codes[1]))
+            layers.append(replace(last, body=part) if is_last else Layer(part[0] & 15, part[1:], part[0] >> 4))
             start = end
-        flags = header.names_goals, header.has_cut_off
-        return Container(header.domain, tuple(layers), header.folding, header.label, *flags)
+        return replace(header.container, layers=tuple(layers))
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
     """Return the size in bytes of a PLR file without its leaves and proof: the header and the checksum."""
-    return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
+    return len(Container(domain, (Layer(0, b""),), folding, label).to_bytes())
 
 
 def holds_pairs(data: bytes) -> bool:
@@ -208,7 +199,7 @@ def holds_pairs(data: bytes) -> bool:
 
     ``ValueError`` if ``data``, the bytes of the file, are neither.
     """
-    return data.startswith(GRID_MAGIC) or Header.read(data).leaf_code == PAIRS_CODE
+    return data.startswith(GRID_MAGIC) or Header.read(data).container.last.leaf_code == PAIRS_CODE
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
@@ -379,12 +370,13 @@ class FileBacked:
     def table_class(self) -> int:
         """Size of the file in bytes, without its label; the sizes of lookup tables depend on this size."""
         header = Header.read(self.file_bytes)
-        return self.num_bytes - len(header.data) + len(replace(header, label="").data)
+        unlabeled = replace(header, container=replace(header.container, label=""))
+        return self.num_bytes - len(header.data) + len(unlabeled.data)
 
     @property
     def label(self) -> str:
         """Text attached to the file, such as a map's name, or ``""``; it may contain control characters."""
-        return Header.read(self.file_bytes).label
+        return Header.read(self.file_bytes).container.label
 
     def with_label(self, label: str) -> Any:
         """Return a copy whose file stores another label, a text of at most 1,000 bytes (else ``ValueError``).

@@ -20,7 +20,7 @@ from operator import add, or_
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie, gather
@@ -105,8 +105,7 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Points:
     """
     x = _constant(_as_float_points(tables, x))
     outside, answer = outside_domain(tables, x)
-    parameters = _leaf_parameters(tables, find_row(tables, x), x.dtype)
-    source = jnp.stack(tables.leaf.source_of(parameters), axis=-1)
+    source = jnp.stack(tables.leaf.source_of(_leaf_parameters(tables, find_row(tables, x), x.dtype)), axis=-1)
     source = jnp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
     return jnp.where((outside | jnp.isnan(answer))[..., None], np.nan, source)
 
@@ -403,9 +402,7 @@ def _straight_bound(tables: Tables, x: Points, outside: Flags) -> Values:
 # Rounding and derivatives
 
 
-def _constant(x: Shaped[Array, "*batch"]) -> Shaped[Array, "*batch"]:
-    """Return ``x``, but differentiate as if it were constant."""
-    return jax.lax.stop_gradient(x)
+_constant = jax.lax.stop_gradient  # returns its argument, but is differentiated as if it were constant
 
 
 @jax.custom_jvp

@@ -123,10 +123,9 @@ class LeafModel(ABC):
     def check_domain(self, domain: Box) -> None:
         """Raise ``ValueError`` if the model does not support the domain."""
         if domain.dim > self.max_dim:
-            raise ValueError(
-                f"Leaves of kind {self.name!r} need a domain of up to {self.max_dim} dimensions, got {domain.dim}. "
-                f"Use {'continuous leaves or ' * (domain.dim <= MAX_TIED_DIM)}planes, which may jump, instead."
-            )
+            expected = f"a domain of up to {self.max_dim} dimensions, got {domain.dim}"
+            advice = f"Use {'continuous leaves or ' * (domain.dim <= MAX_TIED_DIM)}planes, which may jump, instead."
+            raise ValueError(f"Leaves of kind {self.name!r} need {expected}. {advice}")
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         # The file size from which the largest depth of leaves follows, if ``num_leaves`` is the only limit.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import hash64, row_products, set_fields
+from plr_jax._arrays import hash64, index_of, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -99,16 +99,14 @@ class FaceTests:
         # axis: with periodic axes, a cell may share a face along each axis with itself.
         hashes = cells.hashes()
         keys = hash64(hash64(hashes[faces.lower]) + hashes[faces.upper]) + faces.axis.astype(np.uint64)
-        _, known, known_before = np.intersect1d(keys, self._keys, assume_unique=True, return_indices=True)
-        is_free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
-        is_free[known] = self._free[known_before]
-        is_new[known] = False
+        known = index_of(self._keys, keys)  # -1 for a new face, which counts as not free
+        is_free = np.append(self._free, False)[known]
         # 2. Test all other faces at pairs of points, one on either side of the face, first at few pairs:
         #      below . | . above        distances at both are finite: the face is free
         # Places are fractions of a face; face_points ignores the coordinate along the face's axis.
         places = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for tested_places in (places[:_FEW], places[_FEW:]):
-            unsure = np.flatnonzero(is_new & ~is_free)
+            unsure = np.flatnonzero((known < 0) & ~is_free)
             if len(unsure):
                 tested = faces[unsure]
                 x = face_points(cells, tested, tested_places)  # (faces, points, dim)

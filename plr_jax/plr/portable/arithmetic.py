@@ -6,7 +6,7 @@ emitter (``writers.py``) returns expressions of another language. ``FORMAT.md`` 
 
 from collections.abc import Sequence
 from functools import reduce
-from operator import add, and_
+from operator import add, and_, mul
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -128,11 +128,8 @@ class Program:
         64-bit points must have passed :meth:`wrap_in_double`. Unless the domain is far from 0, they must also be
         rounded to 32 bits.
         """
-        tests = []
-        for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
-            along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)
-            tests.append((along >= lo) & (along <= hi))
-        return reduce(and_, tests)
+        place = [x[axis] if wraps else self._relative(do, x, axis) for axis, wraps in enumerate(self.domain.periodic)]
+        return reduce(and_, [(at >= lo) & (at <= hi) for at, lo, hi in zip(place, *self.limits, strict=True)])
 
     def wrap_in_double(self, do: Operations, x: Point) -> Point:
         """Move 64-bit points by whole periods into the domain; coordinates along periodic axes must be finite."""
@@ -229,11 +226,9 @@ class Program:
                 length = do.let("length", do.where(changes[axis] < 0, -changes[axis], changes[axis]))
                 other = do.let("other", -length + (hi - lo))
                 changes[axis] = do.let("change", do.where(other < length, other, length))
-            costs = []
-            for group, rate in zip(groups, rates, strict=True):
-                squares = [change * change for change, is_in in zip(changes, group, strict=True) if is_in]
-                costs.append(do.root(reduce(add, squares)) * rate)
-            cost = do.let("cost", reduce(add, costs))
+            squares = [change * change for change in changes]
+            lengths = [do.root(reduce(add, [squares[axis] for axis in np.flatnonzero(group)])) for group in groups]
+            cost = do.let("cost", reduce(add, map(mul, lengths, rates)))
             least = cost if least is None else do.let("least", do.where(cost < least, cost, least))
         least = do.let("least", least - margin)
         return do.where(least > 0, least, np.float32(0))

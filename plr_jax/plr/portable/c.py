@@ -1,5 +1,7 @@
 """Generate a C99 header from a PLR: :func:`c_header` with plain tables, :func:`compact_header` with compact bytes."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from plr_jax.plr.leaves import Cone, code_of_leaf
@@ -18,8 +20,7 @@ _WHY = {
 class CEmitter(Emitter):
     """A generator of C99 code.
 
-    ``name`` is the prefix of the functions that the code calls. ``floors`` collects the types (``"float"``,
-    ``"double"``) for which the code calls a floor function.
+    ``name`` is the prefix of the functions that the code calls.
     """
 
     root_of, cast = "sqrtf({})", "(float)({})"
@@ -28,7 +29,6 @@ class CEmitter(Emitter):
     def __init__(self, name: str) -> None:
         super().__init__()
         self.name = name
-        self.floors: set[str] = set()
 
     def literal(self, number: np.floating) -> str:
         """Return the shortest decimal that C reads as the same number; ``INFINITY`` or ``-INFINITY`` if infinite."""
@@ -37,12 +37,19 @@ class CEmitter(Emitter):
         return str(number) + ("f" if number.dtype == np.float32 else "")
 
     def floor(self, x: Expression) -> Expression:
-        self.floors.add(x.type)
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
         # The 23 mantissa bits of a float in [1, 2), as the highest bits of a word; the shift drops the leading one.
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
+
+
+def c_table(declaration: str, entries: Iterable[str]) -> list[str]:
+    return [f"static const {declaration} = {{", *wrap_entries(entries), "};"]
+
+
+def c_function(signature: str, statements: list[str]) -> list[str]:
+    return [signature, "{", *indent(statements), "}", ""]
 
 
 def c_header(program: Program, name: str) -> str:
@@ -59,7 +66,6 @@ def c_header(program: Program, name: str) -> str:
     # 1. Description and includes.
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     table_bytes = 4 * rows.size + tree.code_type.itemsize * tree.children.size
-    waypoint = f"   {name}_waypoint: next waypoint on the way to the goal; NaN outside the domain."
     introduction = [
         f"#ifndef {guard}",
         f"#define {guard}",
@@ -67,7 +73,7 @@ def c_header(program: Program, name: str) -> str:
         "",
         f"   {name}_distance: distance to the goal from a point of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
-        *([waypoint] * is_sourced),
+        *[f"   {name}_waypoint: next waypoint on the way to the goal; NaN outside the domain."] * is_sourced,
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
         f"   Compiled, its tables take {table_bytes:,} bytes, and its code a few hundred.",
         "",
@@ -89,40 +95,33 @@ def c_header(program: Program, name: str) -> str:
     # 2. Tables: the tree and the leaf parameters.
     tables, literal = [], CEmitter(name).literal
     if has_tree:
+        entries = (f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist())
         tables += [
             f"/* Children of every split node, the lower one first, as {1 << tree.kind_bits} * row + kind. Of a",
             f"   split child: its row in this table, its axis. Of a leaf: its row in {name}_numbers, {dim}. */",
-            f"static const {tree.code_type}_t {name}_tree[{len(tree.children)}][2] = {{",
-            *wrap_entries(f"{{{lower}, {upper}}}" for lower, upper in tree.children.tolist()),
-            "};",
+            *c_table(f"{tree.code_type}_t {name}_tree[{len(tree.children)}][2]", entries),
             "",
         ]
-    tables += [
-        f"static const float {name}_numbers[{len(rows)}][{rows.shape[1]}] = {{",
-        *wrap_entries("{" + ", ".join(map(literal, row)) + "}" for row in rows),
-        "};",
-        "",
-    ]
+    entries = ("{" + ", ".join(map(literal, row)) + "}" for row in rows)
+    tables += [*c_table(f"float {name}_numbers[{len(rows)}][{rows.shape[1]}]", entries), ""]
     # 3. Descent from fraction bits to the row of the leaf. `place` has the next bit along each axis as its highest.
     # For polynomials, `cell` has for each axis the number of cells like the current one that the domain has, and the
     # index of the current one.
     mask = (1 << tree.kind_bits) - 1
-    descent = [
-        "/* Descends the tree: each split takes the next bit of the position along its axis. */",
-        f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})",
-        "{",
-        f"    uint32_t code = {tree.root}u;",
-        f"    while ((code & {mask}u) != {dim}u) {{",
-        f"        const uint32_t axis = code & {mask}u;",
-        "        const uint32_t upper = place[axis] >> 31;",
-        "        place[axis] <<= 1;",
-        *(["        cell[axis][0] *= 2;", "        cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells),
-        f"        code = {name}_tree[code >> {tree.kind_bits}][upper];",
-        "    }",
-        f"    return code >> {tree.kind_bits};",
+    statements = [
+        f"uint32_t code = {tree.root}u;",
+        f"while ((code & {mask}u) != {dim}u) {{",
+        f"    const uint32_t axis = code & {mask}u;",
+        "    const uint32_t upper = place[axis] >> 31;",
+        "    place[axis] <<= 1;",
+        *["    cell[axis][0] *= 2;", "    cell[axis][1] = 2 * cell[axis][1] + upper;"] * of_cells,
+        f"    code = {name}_tree[code >> {tree.kind_bits}][upper];",
         "}",
-        "",
+        f"return code >> {tree.kind_bits};",
     ]
+    signature = f"static inline uint32_t {name}_leaf(uint32_t place[{dim}]{f', uint32_t cell[{dim}][2]' * of_cells})"
+    comment = "/* Descends the tree: each split takes the next bit of the position along its axis. */"
+    descent = [comment, *c_function(signature, statements)]
 
     def read_leaf(do: CEmitter, fractions: list[Expression]) -> list[Expression]:
         row, counts = "0", ["1.0f", "0.0f"] * dim
@@ -140,31 +139,26 @@ def c_header(program: Program, name: str) -> str:
     outside = [f"return {do.nan_condition(dim)} ? NAN : INFINITY;"]
     offsets, numbers = do.write_lookup(program, of_type, read_leaf, outside)
     do.statements.append(f"return {program.value(do, offsets, numbers)};")
-    functions = [f"static inline float {name}_distance(const {of_type} x[{dim}])"]
-    functions += ["{", *indent(do.used_statements()), "}", ""]
-    floors = do.floors
+    functions = c_function(f"static inline float {name}_distance(const {of_type} x[{dim}])", do.used_statements())
     if is_sourced:
         do = CEmitter(name)
         outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
         _, numbers = do.write_lookup(program, of_type, read_leaf, outside)
         do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
-        functions.append(f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])")
-        functions += ["{", *indent(do.used_statements()), "}", ""]
+        signature = f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])"
+        functions += c_function(signature, do.used_statements())
     # 5. Floors of the types in use; NaN and numbers too large to have a fraction are returned unchanged.
     helpers = []
     for of_type, whole, digits, one in _FLOORS:
-        if of_type in floors | do.floors:
-            helpers += [
-                f"static inline {of_type} {name}_floor_of_{of_type}({of_type} v)",
-                "{",
-                f"    if (!(v < {digits} && v > -{digits})) {{",
-                "        return v;",
-                "    }",
-                f"    const {of_type} toward_zero = ({of_type})({whole})v;",
-                f"    return toward_zero > v ? toward_zero - {one} : toward_zero;",
+        if any(f"{name}_floor_of_{of_type}" in line for line in functions):
+            statements = [
+                f"if (!(v < {digits} && v > -{digits})) {{",
+                "    return v;",
                 "}",
-                "",
+                f"const {of_type} toward_zero = ({of_type})({whole})v;",
+                f"return toward_zero > v ? toward_zero - {one} : toward_zero;",
             ]
+            helpers += c_function(f"static inline {of_type} {name}_floor_of_{of_type}({of_type} v)", statements)
     return "\n".join([*introduction, *tables, *helpers, *descent * has_tree, *functions, "#endif", ""])
 
 
@@ -176,14 +170,9 @@ def compact_header(program: Program, name: str) -> str:
     require_identifier(name)
     data, dim = compact_bytes(program), program.dim
     of_type, far = ("float", "") if program.corner is None else ("double", "_far")  # of coordinates; of functions
-    waypoint = [
-        "",
-        "/* The next waypoint on the way to the goal; NaN outside the domain. */",
-        f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])",
-        "{",
-        f"    plr_jax_waypoint{far}(&{name}_plr, x, waypoint);",
-        "}",
-    ]
+    signature = f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])"
+    comment = "/* The next waypoint on the way to the goal; NaN outside the domain. */"
+    waypoint = ["", comment, *c_function(signature, [f"plr_jax_waypoint{far}(&{name}_plr, x, waypoint);"])[:-1]]
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     # The features of this PLR, a constant, so that the compiler leaves out code for others.
     features = [f"1u << {code_of_leaf(program.leaf)}u", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
@@ -199,9 +188,7 @@ def compact_header(program: Program, name: str) -> str:
         f"#if PLR_JAX_MAX_DIM < {dim}",
         f'#error "define PLR_JAX_MAX_DIM as {dim} before the first header"',
         "#endif",
-        f"static const unsigned char {name}_bytes[{len(data)}] = {{",
-        *wrap_entries(map(str, data)),
-        "};",
+        *c_table(f"unsigned char {name}_bytes[{len(data)}]", map(str, data)),
         f"static const struct plr_jax {name}_plr = {{{name}_bytes, {len(data)}}};",
         "",
         f"/* Distance to a goal, generated by plr_jax: {len(program.leaf_parameters)} leaves of type"

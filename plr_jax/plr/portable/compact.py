@@ -57,6 +57,7 @@ _MOST_FRACTION_BITS = 16  # more than the largest number of these bits
 _LARGEST_VALUE = 1 << 28
 _ROUNDING = 1e-6  # largest distance from a multiple of a unit that counts as rounding, in units
 Ints: TypeAlias = Int[np.ndarray, "..."]
+Corner: TypeAlias = tuple[list[float], int]  # see :meth:`_SmoothCorners._numbers_at`
 
 
 def compact_bytes(program: Program) -> bytes:
@@ -371,8 +372,7 @@ class _Middles:
         for unit in range(1, 1 + _MOST_UNIT):
             mark = self.mark + ((self.mark == 1) & (narrow_bits > unit))
             does_not_fit = _by_record((mark > 1) & (wide_bits > 2 * unit)).any(axis=1)
-            num_units = _by_record(_UNITS[mark].sum(axis=2)).sum(axis=1)
-            sizes.append(np.where(does_not_fit, np.inf, unit * num_units))
+            sizes.append(np.where(does_not_fit, np.inf, unit * _by_record(_UNITS[mark].sum(axis=2)).sum(axis=1)))
         units = 1 + np.argmin(sizes, axis=0)
         # 2. Write all numbers in two's complement.
         of_split = np.repeat(units, _RECORD)[: len(self.mark), None]
@@ -382,10 +382,11 @@ class _Middles:
         return mark, units, codes & ((1 << widths) - 1), widths
 
 
-def _smooth_parameters(
-    tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
-) -> Float[np.ndarray, "leaves terms"]:
-    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN where it is unknown."""
+def _smooth_parameters(tree: Tree, corners: Ints, periodic: tuple[bool, ...]) -> Float[np.ndarray, "leaves terms"]:
+    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN where it is unknown.
+
+    ``corners`` has the function's values at the corners of each node, ``(nodes, 4)``.
+    """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic).numbers_at
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -422,7 +423,7 @@ class _SmoothCorners:
         self.corners, self.periodic = corners, periodic
         self.numbers_at = cache(self._numbers_at)
 
-    def _numbers_at(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
+    def _numbers_at(self, point: tuple[int, ...], value: int) -> Corner:
         """Return the numbers at a corner where leaves have ``value``, and the length of a chain.
 
         The numbers are means over the leaves around the corner, or follow from the edge of a larger leaf, the *host*.
@@ -479,9 +480,7 @@ class _SmoothCorners:
             numbers.append(sum(of_kind) / weight if is_exact else np.nan)
         return numbers, 0
 
-    def _on_edge(
-        self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
-    ) -> tuple[list[float], int]:
+    def _on_edge(self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]) -> Corner:
         """Compute value, derivatives and chain length of a corner inside an edge of a larger leaf.
 
         Value and derivatives come from cubics along the edge. The edge is parallel to the axis ``edge``, and runs

@@ -57,10 +57,9 @@ class _ConesFromTables(Program):
     """
 
     def __init__(self) -> None:
-        # 1. The placeholder: the leaves are the halves of the unit square.
+        # 1. The placeholder: the leaves are the halves of the unit square, and the goal is its lower corner.
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
-        goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
-        stored = ConeFiles(goal, domain).stored(np.zeros(2, int))
+        stored = ConeFiles(Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int)), domain).stored(np.zeros(2, int))
         super().__init__(DecodedFile(domain, Cone(), halves, stored))
 
         def named(name: str, of_type: str = "float") -> list[Expression]:
@@ -126,7 +125,6 @@ def js_module(program: Program) -> str:
     # 2. Tables: the tree and the leaf parameters.
     lines += [FROUND, *[NEXT_FLOAT] * (certificate is not None)]
     if len(tree.children):
-        counters = f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"
         lines += [
             f"// Children of every split node, the lower one first, as {1 << tree.kind_bits} * row + kind. Of a",
             f"// split child: its row in this table, its axis. Of a leaf: its row in numbers, {dim}.",
@@ -135,7 +133,7 @@ def js_module(program: Program) -> str:
             "]);",
             f"const root = {tree.root};",
             f"const place = new Uint32Array({dim});",
-            *[counters] * leaf.is_cell_relative,
+            *[f"const count = new Float64Array({dim}), cell = new Float64Array({dim});"] * leaf.is_cell_relative,
         ]
     lines += [
         f"const numbers = new Float32Array([ // {rows.shape[1]} each",

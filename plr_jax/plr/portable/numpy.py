@@ -13,7 +13,7 @@ from plr_jax._arrays import as_queries, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside
-from plr_jax.plr.leaves import as_sourced, goal_of_leaves, require_goals
+from plr_jax.plr.leaves import goal_of_leaves, require_goals
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
 from plr_jax.plr.portable.c import c_header, compact_header
 from plr_jax.plr.portable.compact import compact_bytes
@@ -26,6 +26,7 @@ _UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes 
 _CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
 _FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
 _PLAIN = (float, int, np.float64, np.float32)
+Integers = Integer[np.ndarray, " n"]
 
 
 class PythonEmitter(Emitter):
@@ -68,7 +69,7 @@ class LeafTable:
         self._descend(self.table, list(place), bits)
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind_mask == tree.dim).all())
 
-    def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
+    def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integers:
         """Return the index of each point's leaf.
 
         ``fractions`` has an array for each axis: the points' coordinates from the domain's lower end, in units of
@@ -82,9 +83,7 @@ class LeafTable:
         self._descend(code, fractions, np.full(self.tree.dim, FRACTION_BITS))
         return code >> self.tree.kind_bits
 
-    def _descend(
-        self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
-    ) -> None:
+    def _descend(self, code: Integers, fractions: list[Integers], bits: Int[np.ndarray, " d"]) -> None:
         """Descend the tree from the node ``code[i]`` toward the leaf that contains point ``i``.
 
         ``code`` is changed in place; nodes are coded as in :class:`CodedTree`. ``fractions`` has the points'
@@ -141,8 +140,7 @@ def point_query(
     given = [f"x{axis}" for axis in range(program.dim)]
     # Close to the upper end of a periodic axis, wrapping in 64 bits may lead to the lower end.
     unwrapped = np.minimum(domain.lo + domain.width * _UNWRAPPED, np.nextafter(domain.hi, -np.inf))
-    last = np.where(domain.periodic, unwrapped, domain.hi)
-    ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
+    ends = zip(given, domain.lo.tolist(), np.where(domain.periodic, unwrapped, domain.hi).tolist(), strict=True)
     inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
     origin = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist()
     outside = []
@@ -208,10 +206,8 @@ class NumpyPLR:
     def __init__(self, data: bytes):
         """Decode the bytes of a PLR file; raises ``ValueError`` if they are invalid."""
         if not isinstance(data, bytes | bytearray | memoryview):
-            raise ValueError(
-                f"data must be the bytes of a PLR file, got {shortened(data)}; for a path use load_numpy, for a PLR "
-                "call plr.numpy()."
-            )
+            advice = "for a path use load_numpy, for a PLR call plr.numpy()"
+            raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}; {advice}.")
         self._data = bytes(data)
         self._program = program = Program(decode(self._data))
         cells, self.dim, self.domain = program.contents.tree.leaves, program.dim, program.domain
@@ -266,7 +262,6 @@ class NumpyPLR:
 
     def waypoint(self, x: ArrayLike) -> Any:
         """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`."""
-        as_sourced(self._program.leaf)
         return self._of_leaves(x, self._waypoint_rows)
 
     def which(self, x: ArrayLike) -> Any:

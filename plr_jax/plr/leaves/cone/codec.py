@@ -66,6 +66,10 @@ class StoredSources:
     def offsets(self) -> Float[np.ndarray, " sources"]:
         return self._offsets_and_roots[0]
 
+    def is_goal(self, root: Int[np.ndarray, " n"], rounding: float) -> Bool[np.ndarray, " n"]:
+        # If the file names goals, all roots are goals; else those whose offset is 0, up to rounding.
+        return (self.offsets[root] <= rounding) | (self.goals is not None)
+
     @property
     def goal_of_source(self) -> Int[np.ndarray, " sources"] | None:
         # `goals` has an entry for each root: roots are counted in the order of the sources.
@@ -108,14 +112,10 @@ def store_sources(
     points, parents = sources.points, sources.parents
     largest = max(np.abs(points).max(initial=0.0), sources.distances.max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
-        raise ValueError(
-            f"Cones need distances and domains within {_LARGEST_SQUARED:g}, as 32-bit queries square them, got "
-            f"{largest:g}. Scale them down, or use another leaf model."
-        )
-    if len(points) >= 1 << _COUNT_BITS:
-        raise ValueError(
-            f"A file can hold fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}. Use another leaf model."
-        )
+        limit = f"within {_LARGEST_SQUARED:g}, as 32-bit queries square them, got {largest:g}"
+        raise ValueError(f"Cones need distances and domains {limit}. Scale them down, or use another leaf model.")
+    if (count := len(points)) >= (limit := 1 << _COUNT_BITS):
+        raise ValueError(f"A file can hold fewer than {limit:,} sources, got {count:,}. Use another leaf model.")
     # 2. Round coordinates to multiples of 2**exponent (fine) or of 1 / fraction (on the lattice).
     exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS
     fraction, is_fine = _lattice(off_lattices(points, domain) if is_off is None else is_off, exponent)
@@ -168,17 +168,12 @@ def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tupl
 
 
 def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
-    _write_sources(body, domain, cones.sources)
-    _write_ranks(body, cones.source)
+    """Write the coordinates of sources in lattice steps, then their parents, then the source of each leaf.
 
-
-def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    """Write the coordinates of sources in lattice steps, then their parents (see :class:`StoredSources`).
-
-    Instead of a parent, a root has its offset.
+    Instead of a parent, a root has its offset (see :class:`StoredSources`).
     """
+    sources, exponent, fraction = cones.sources, cones.sources.exponent, cones.sources.fraction
     fine, others = np.split(sources.code, [sources.num_fine])
-    exponent, fraction = sources.exponent, sources.fraction
     groups = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, fraction, fraction)
     for code, step_field, steps_per_unit in groups:
         body.write(np.array([len(code)]), _COUNT_BITS)
@@ -193,6 +188,7 @@ def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
+    _write_ranks(body, cones.source)
 
 
 def write_goals(body: BitWriter, goals: Int[np.ndarray, " roots"]) -> BitWriter:
@@ -330,10 +326,10 @@ class ConeFiles:
         source = source[leaf[np.maximum(before, 0)]]
         # 2. Keep the apexes of leaves, their parents, the parents of these, and so on; also where paths continue.
         is_kept, added = np.zeros(len(sources.parents), bool), source
+        onward = [sources.parents] if sources.exits is None else [sources.parents, sources.exits]
         while len(added):
             is_kept[added] = True
-            ahead = [each[added] for each in (sources.parents, sources.exits) if each is not None]
-            added = np.unique(np.concatenate(ahead))
+            added = np.unique(np.concatenate([ahead[added] for ahead in onward]))
             added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
         # 3. Encode them.
@@ -352,8 +348,7 @@ class ConeFiles:
         write_cones(body := BitWriter(), self.domain, cones)
         if cones.sources.goals is not None:
             write_goals(body, cones.sources.goals)
-        num_cut_off = int(np.count_nonzero(source == CUT_OFF))
-        return limits.file_size(self.domain.dim, len(source), body.num_bits, num_cut_off)
+        return limits.file_size(self.domain.dim, len(source), body.num_bits, int(np.count_nonzero(source == CUT_OFF)))
 
     def fit(self, limits: Limits, source: Int[np.ndarray, " leaves"]) -> bool:
         return self.num_bytes(source, limits) <= limits.max_bytes

@@ -310,8 +310,7 @@ def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limi
     for _ in range(_ATTEMPTS):
         # 1. Find the best tree for the price, until all errors of its leaves are those at all samples.
         while True:
-            costs = fits.integral + peak_weight * fits.largest
-            tree = best_tree(lattice, costs, np.exp(log_price), limits.max_depth)
+            tree = best_tree(lattice, fits.integral + peak_weight * fits.largest, np.exp(log_price), limits.max_depth)
             estimated = tree.box[fits.is_estimated[tree.box]]
             if not len(estimated):
                 break
@@ -337,8 +336,7 @@ def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limi
         if len(attempts) > 1 and attempts[-2][1] != excess:
             rate = (attempts[-2][0] - log_price) / (excess - attempts[-2][1])
             rate = float(np.clip(rate, _LEAST_RATE, _MOST_RATE))
-        step = rate * (excess + np.copysign(_BEYOND, excess))
-        log_price += float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+        log_price += float(np.clip(rate * (excess + np.copysign(_BEYOND, excess)), -_LARGEST_STEP, _LARGEST_STEP))
     return largest
 
 
@@ -362,9 +360,8 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, " leaves"], s
         index, source = np.divmod(key, count)
         error_sum, largest, hidden = option_errors(goal, first_sample[index], offset, source, shortfall)
         weight = np.maximum(goal.table[first_sample[:, None] + offset, 3].sum(axis=1), np.finfo(float).tiny)[index]
-        is_own, area = source == present[index], weight / (len(offset) << sum(shape))
         errors = hidden == 0, error_sum / weight, hidden / weight, largest, error_sum
-        options.append((leaf[index], source, is_own, *errors, area))
+        options.append((leaf[index], source, *errors, weight / (len(offset) << sum(shape))))
     return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
 
 

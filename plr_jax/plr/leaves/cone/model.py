@@ -50,16 +50,13 @@ class Cone(LeafModel):
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
         if sampler.cache is None:
-            raise ValueError(
-                "Leaves of kind 'cone' need a distance function in the plane that answers for whole cells, such as "
-                f"VisibilityGraph, got {shortened(sampler.distance_fn)} in {sampler.domain.dim} dimensions. Use "
-                "leaf='continuous' for any other."
-            )
+            needed = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
+            got = f"{shortened(sampler.distance_fn)} in {sampler.domain.dim} dimensions"
+            raise ValueError(f"Leaves of kind 'cone' need {needed}, got {got}. Use leaf='continuous' for any other.")
         if sampler.weight_fn is not None or rules != Rules(largest_error, best_axis):
-            raise ValueError(
-                "Leaves of kind 'cone' must not have weight_fn, should_split or split: they are chosen by proven "
-                "errors of whole cells. Leave these options out, or use leaf='continuous'."
-            )
+            options = "weight_fn, should_split or split: they are chosen by proven errors of whole cells"
+            advice = "Leave these options out, or use leaf='continuous'."
+            raise ValueError(f"Leaves of kind 'cone' must not have {options}. {advice}")
         visible = sampler.cache.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable

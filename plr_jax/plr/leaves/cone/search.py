@@ -179,7 +179,6 @@ class LeafOptions(NamedTuple):
 
     leaf: Int[np.ndarray, " options"]
     source: Int[np.ndarray, " options"]
-    is_own: Bool[np.ndarray, " options"]  # whether the source is the leaf's present source
     by_all: Bool[np.ndarray, " options"]  # whether all of the leaf sees the source
     error: Float[np.ndarray, " options"]  # mean error over the leaf, at samples
     hidden: Float[np.ndarray, " options"]  # share of the leaf from which a wall hides the source
@@ -236,7 +235,7 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     # 4. Proven bounds of the errors, and free area.
     largest, integral = option_errors(visible, row, source)
     area = np.bincount(visible.cell, areas(visible.pieces), len(chosen)).astype(np.float64)[row]
-    return LeafOptions(box, source, source == boxes.source[box], by_all, error, hidden, largest, integral, area)
+    return LeafOptions(box, source, by_all, error, hidden, largest, integral, area)
 
 
 def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
@@ -259,9 +258,10 @@ def change_sources(
     fit, the most useful changes are made. The largest error of a new cone is at most ``most``. ``total`` is the mean
     error over the domain with the present sources.
     """
-    leaf, is_own = options.leaf, options.is_own
+    leaf = options.leaf
     if not len(leaf):
         return source
+    is_own = options.source == source[leaf]
     # 1. Each leaf prefers the option of least cost whose largest error is allowed; ties go to sources that all of the
     # leaf sees, then to its present source.
     cost = options.error + _PRICE * total * options.hidden
