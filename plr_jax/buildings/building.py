@@ -205,11 +205,12 @@ class BuildingOracle:
         """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
 
         For bounds, pass ``certified=True``. All floors share one budget of bytes or leaves, which goes to the largest
-        errors. ``max_bytes`` does not count the floors and links in the file, which take some 100 bytes. Raises what
-        :func:`construct` raises.
+        errors. ``max_bytes`` limits the whole file, with its floors and links. Raises what :func:`construct` raises.
         """
         from plr_jax.buildings.building_plr import BuildingPLR  # imports JAX
         from plr_jax.plr import construct
 
+        if isinstance(max_bytes := options.get("max_bytes"), int):
+            options["max_bytes"] = max(1, max_bytes - len(self.floors.to_bytes()))
         plr = construct(self.paths, self.building.plane.bounds, leaf=leaf, **options)
         return BuildingPLR(self.floors, plr)

@@ -245,12 +245,12 @@ def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, dom
 
 
 def construct_stored(
-    workspace: Workspace, max_bytes: int | None, visibility: CornerVisibility | None = None
+    workspace: Workspace, max_bytes: int | None, visibility: CornerVisibility | None = None, num_other_bytes: int = 0
 ) -> tuple[PairsFileData, bytes]:
     """Build the content of a file of distances between pairs of points; also return the bytes of the file.
 
-    The file has at most ``max_bytes`` bytes (None: 65,536). ``visibility`` has the corners of the workspace, with
-    places and arcs; None: without.
+    The file and ``num_other_bytes`` have at most ``max_bytes`` bytes (None: 65,536). ``visibility`` has the corners of
+    the workspace, with places and arcs; None: without.
     """
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace or a Building, got {shortened(workspace)}.")
@@ -314,10 +314,14 @@ def construct_stored(
 
     most = min(limits.max_leaves, most_leaves(num_corners))
     root = corners_seen(visibility, workspace.triangulation, domain)
-    pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
+
+    def num_bytes(lists: Lists) -> int:
+        return num_other_bytes + len(file_data(lists).to_bytes())
+
+    pairs_data = file_data(grow_lists(root, domain, limits, most, num_bytes))
     data = pairs_data.to_bytes()
-    if len(data) > limits.max_bytes:
-        expected = f"leave room for free space and its corners, which alone take {len(data):,} bytes"
+    if (least := num_other_bytes + len(data)) > limits.max_bytes:
+        expected = f"leave room for free space and its corners, which alone take {least:,} bytes"
         advice = "raise it, or simplify the polygons"
         raise ValueError(f"max_bytes must {expected}, got max_bytes={limits.max_bytes:,.0f}: {advice}.")
     return pairs_data, data

@@ -305,8 +305,9 @@ def construct_pairs(workspace: Any, *, max_bytes: int | None = None) -> Any:
     if hasattr(workspace, "plane_floors"):
         from plr_jax.pairs.building_pairs import BuildingPairs
 
-        stored, data = construct_stored(workspace.plane, max_bytes, workspace.corners)
-        return BuildingPairs(workspace.plane_floors, PairPLR(padded_file(data), stored))
+        floors = workspace.plane_floors
+        stored, data = construct_stored(workspace.plane, max_bytes, workspace.corners, len(floors.to_bytes()))
+        return BuildingPairs(floors, PairPLR(padded_file(data), stored))
     stored, data = construct_stored(workspace, max_bytes)
     return PairPLR(padded_file(data), stored)
 
