@@ -457,7 +457,8 @@ def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "
     places, lengths = numbers[: 2 * num_places].reshape(-1, 2), numbers[2 * num_places :]
     if not np.isfinite(numbers).all() or (lengths < 0).any() or ends.max(initial=0) >= num_places:
         raise ValueError("its places or arcs are invalid")
-    return places, Arcs(*(num_corners + ends), lengths)
+    start, end = num_corners + ends
+    return places, Arcs(start, end, lengths)
 
 
 def _read_rounding(body: BitReader) -> float:
