@@ -185,7 +185,8 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, *p
     :func:`_after_all_rounds`.
     """
     # Below, `first` and `last` are places in lists, `corner` is an index of a corner, and `turn_x` is a point.
-    (x, y, leaf_x, leaf_y, keys), size = pairs, len(tables.distances)
+    x, y, leaf_x, leaf_y, keys = pairs
+    size = len(tables.distances)
     # 1. Decode the place of the first turn. The next key is the least one that is larger.
     first = search.key & _place_bits(keys.shape[1])
     next_key = jnp.where(keys > search.key[:, None], keys, _LAST_KEY).min(axis=1)

@@ -457,7 +457,8 @@ def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "
     is_valid = np.isfinite(places).all() and np.isfinite(lengths).all() and (lengths >= 0).all()
     if not is_valid or ends.max(initial=0) >= num_places:
         raise ValueError("its places or arcs are invalid")
-    return places, Arcs(*(num_corners + ends), lengths)
+    start, end = num_corners + ends
+    return places, Arcs(start, end, lengths)
 
 
 def _read_rounding(body: BitReader) -> float:

@@ -291,7 +291,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
-    frames, no_lookup = [], {"blocks": None, "pages": None, "leaf_of_slot": np.zeros(0, np.uint16)}
+    no_lookup: dict[str, Any] = {"blocks": None, "pages": None, "leaf_of_slot": np.zeros(0, np.uint16)}
+    frames: list[Tables] = []
     for i, each in enumerate(tables):
         no_leaves = np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32)
         frames.append(replace(each, bits=np.zeros_like(each.bits), leaf_parameters=no_leaves, **no_lookup))
