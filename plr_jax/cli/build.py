@@ -141,7 +141,8 @@ def build(
     width, height = workspace.bounds.width
     typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {width:g} x {height:g}")
 
-    # 2. Construct the PLR, with room for its label, and for floors and links, in the file. After Ctrl-C, it holds the leaves built so far.
+    # 2. Construct the PLR, with room for its label, and for floors and links, in the file. After Ctrl-C, it holds
+    #    the leaves built so far.
     label_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
     label_bytes += 0 if of_building is None else len(of_building.floors.to_bytes())
     limits = {"max_bytes": max(1, max_bytes - label_bytes), "tolerance": tolerance}

@@ -105,7 +105,7 @@ reads them. In the file, a floor may be the name of a file beside it, such as `"
 # Limits
 
 For JavaScript, `plr.plane.js_module()` takes points of the plane. Links do not queue, and take no time tables. Rooms
-from which no goal can be reached answer `inf`, except closer than 1/64 of the width of `building.plane` to points that
-can. All floors lie in cells of the size of the largest one, and share its precision. `construct_pairs` takes at most
-8,192 corners and ends of links in all.
+from which no goal can be reached answer `inf`, except closer than 1/64 of the width of `building.plane` to points
+that can. All floors lie in cells of the size of the largest one, and share its precision. `construct_pairs` takes at
+most 8,192 corners and ends of links in all.
 """

@@ -249,8 +249,8 @@ def construct_stored(
 ) -> tuple[PairsFileData, bytes]:
     """Build the content of a file of distances between pairs of points; also return the bytes of the file.
 
-    The file and ``num_other_bytes`` have at most ``max_bytes`` bytes (None: 65,536). ``visibility`` has the corners of
-    the workspace, with places and arcs; None: without.
+    The file and ``num_other_bytes`` have at most ``max_bytes`` bytes (None: 65,536). ``visibility`` has the corners
+    of the workspace, with places and arcs; None: without.
     """
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace or a Building, got {shortened(workspace)}.")
