@@ -205,8 +205,8 @@ class BuildingOracle:
         """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
 
         For bounds, pass ``certified=True``. All floors share one budget of bytes or leaves, which goes to the largest
-        errors. ``max_bytes`` does not count the floors and links in the file, which take some 100 bytes. Raises what
-        :func:`construct` raises.
+        errors. ``max_bytes`` does not count the floors and links in the file, which take some 100 bytes, and up to 60
+        for each link. Raises what :func:`construct` raises.
         """
         from plr_jax.buildings.building_plr import BuildingPLR  # imports JAX
         from plr_jax.plr import construct
