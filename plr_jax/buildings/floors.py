@@ -4,7 +4,7 @@ import json
 import zlib
 from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -269,10 +269,10 @@ class OnFloors:
         return self.floors.to_bytes() + self.plane.to_bytes()
 
     @classmethod
-    def of_parts(cls, floors: Floors, plane: Any) -> "OnFloors":
+    def of_parts(cls, floors: Floors, plane: Any) -> Self:
         """Join the parts of a file; ``ValueError`` if the function in the plane has another domain."""
-        domains = [(box.lo, box.hi) for box in (floors.domain, plane.domain)]
-        if not np.array_equal(*domains):
+        ours, given = ((box.lo, box.hi) for box in (floors.domain, plane.domain))
+        if not np.array_equal(ours, given):
             raise ValueError("its floors do not lie in its domain")
         return cls(floors, plane)
 

@@ -13,7 +13,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.container import BUILDING_MAGIC, read_bytes
 from plr_jax.plr.frame import is_far
 from plr_jax.plr.portable.numpy import NumpyPLR
-from plr_jax.plr.portable.writers import wrap_entries
+from plr_jax.plr.portable.writers import require_identifier, wrap_entries
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,7 @@ class NumpyBuildingPLR(OnFloors):
         Coordinates are doubles if a floor is far from the origin. Results equal those of :meth:`numpy`, bit for bit.
         An unknown floor gives NAN.
         """
+        require_identifier(name)
         floors, count = self.floors, len(self.floors.lo)
         far = any(is_far(Box(*bounds)) for bounds in zip(floors.lo, floors.hi, strict=True))
         of_type = "double" if far else "float"

@@ -126,7 +126,8 @@ def build(
     if map not in SCENES and plr_jax.scenes.is_building(map):
         if given:
             raise ValueError(f"{map} is a building, which is read without options, got {', '.join(given)}.")
-        places = [(int(floor), (x, y)) for floor, x, y in parse_goals(goal or [], "FLOOR,X,Y")]
+        numbers = parse_goals(goal or [], "FLOOR,X,Y")
+        places = [(int(floor) if floor.is_integer() else float(floor), (x, y)) for floor, x, y in numbers]
         of_building = plr_jax.scenes.read_building(map).oracle(places)
         workspace, oracle, label = of_building.building.plane, of_building.paths, map
     else:
@@ -141,18 +142,18 @@ def build(
     width, height = workspace.bounds.width
     typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {width:g} x {height:g}")
 
-    # 2. Construct the PLR, with room for its label, and for floors and links, in the file. After Ctrl-C, it holds
-    #    the leaves built so far.
-    label_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
-    label_bytes += 0 if of_building is None else len(of_building.floors.to_bytes())
-    limits = {"max_bytes": max(1, max_bytes - label_bytes), "tolerance": tolerance}
+    # 2. Construct the PLR, with room for its label and the floors in the file. After Ctrl-C, it holds the leaves
+    #    built so far.
+    other_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
+    other_bytes += 0 if of_building is None else len(of_building.floors.to_bytes())
+    limits = {"max_bytes": max(1, max_bytes - other_bytes), "tolerance": tolerance}
     certified = "leaves" if leaf_bounds else True
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ConstructionInterrupted)
             plr = plr_jax.construct(oracle, workspace.bounds, leaf=leaf, certified=certified, **limits)
     except BudgetTooSmall as error:
-        needed = error.num_bytes + label_bytes
+        needed = error.num_bytes + other_bytes
         raise ValueError(f"--max-bytes {max_bytes} is too small: allow at least {needed}.") from error
     seconds = time.perf_counter() - began
     plr = plr.with_label(label)

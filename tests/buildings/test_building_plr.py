@@ -165,3 +165,9 @@ def test_one_floor_without_links_is_a_plr_of_the_floor():
     plr = Building(BUILDING.floors[:1]).oracle(*GOAL).construct(max_bytes=500)
     assert plr.floors.domain.width.tolist() == [22, 12]
     np.testing.assert_allclose(plr(0, X[:9]), Building(BUILDING.floors[:1]).oracle(*GOAL)(0, X[:9]), atol=0.2)
+
+
+def test_names_in_c_are_checked_as_given():
+    for name in ("", "my home", "2nd"):
+        with pytest.raises(ValueError, match=f"name must be a C identifier, such as plr_maze, got '{name}'"):
+            PLR.c_header(name)

@@ -169,6 +169,7 @@ def test_buildings_are_built_and_queried_by_floor(path, tmp_path):
     done("export", path, "-o", tmp_path / "home.h")
     assert "home_distance(int floor" in (tmp_path / "home.h").read_text()
     assert "3 numbers FLOOR,X,Y" in mistake("build", file, "-o", path, "--goal", "10,1")
+    assert "must be an integer >= 0, got 0.5" in mistake("build", file, "-o", path, "--goal", "0.5,10,1")
     assert "read without options" in mistake("build", file, "-o", path, "--goal", "0,10,1", "--radius", 1)
     assert "becomes a C header" in mistake("export", path, "--js", "-o", tmp_path / "home.mjs")
     save(construct_pairs(building), pairs := tmp_path / "home.pairs")
