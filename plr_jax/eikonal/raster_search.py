@@ -419,7 +419,7 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
     #
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     index = toward.copy()
-    least = np.full(distance.shape, np.inf)
+    least = np.where(label >= 0, -np.inf, np.inf)  # a cell with a source has no next cell
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
         shape = distance.shape[0] - abs(i), distance.shape[1] - abs(j)
         part = partial(_beside, shape=shape, first=(max(-i, 0), max(-j, 0)))
@@ -432,7 +432,6 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
     del index, least
     # 2. Follow the next cells. They have smaller distances, so paths end: in cells with a source, or where no next
     #    cell is better.
-    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward)
     return label.ravel()[path_ends(toward.ravel())].reshape(label.shape)
 
 
