@@ -393,7 +393,7 @@ def _stencil_edges(
             step[list(axes)] = offset
             end = begin + step
             is_inside = (((end >= 0) & (end < shape)) | np.array(domain.periodic)).all(axis=1)
-            a, b = (np.ravel_multi_index(tuple(ends[is_inside].T), shape, mode="wrap") for ends in (begin, end))
+            a, b = (np.asarray(np.ravel_multi_index(tuple(x[is_inside].T), shape, mode="wrap")) for x in (begin, end))
             a, b = a[is_open.ravel()[b]], b[is_open.ravel()[b]]
             tested = a[~is_clear.ravel()[a]]
             is_free = np.ones(len(a), bool)

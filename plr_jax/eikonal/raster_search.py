@@ -192,11 +192,12 @@ def search(
     end, cost_of = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
     for half, begin_nodes in nodes.items():
         edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
-        cost_at, height_at = (partial(_beside, table, shape=begin_nodes.shape) for table in (cost, height))
+        cost_at = partial(_beside, cost, shape=begin_nodes.shape)
         for step, (i, j) in enumerate(steps):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
             of_step = length * _mean_along(i, j, half, cost_at)
             if height is not None:
+                height_at = partial(_beside, height, shape=begin_nodes.shape)
                 of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn)
             end[edges, step], cost_of[edges, step] = end_nodes(half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
