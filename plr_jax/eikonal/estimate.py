@@ -41,7 +41,6 @@ _BLOCK = 8  # cells along each axis of the blocks that are classified first
 _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 _RADIUS = {1: 100.0, 2: 32.0, 3: 12.0}  # of balls around goals, in shortest steps, by the number of axes
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
-Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
 # Costs of motions at points: a factor of the norm, and perhaps two vectors: the larger scalar product is added.
@@ -255,7 +254,7 @@ def grid_estimate(
 
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
-) -> tuple[Box, Shape]:
+) -> tuple[Box, tuple[int, ...]]:
     """Choose a regular grid of about ``num_nodes`` nodes or more; return its box and its number of cells per axis.
 
     Nodes are the centers of grid cells. The grid follows the voxels of the space, or else the cells of a raster of
@@ -308,7 +307,7 @@ def _grid(
     return box, tuple((steps + ~np.array(domain.periodic)).astype(int).tolist())
 
 
-def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
+def _open_nodes(space: ConfigurationSpace, box: Box, shape: tuple[int, ...]) -> tuple[CellStates, IsOpen, IsOpen]:
     """Return three values for each grid cell: its state, whether its node is open, and whether its node is clear.
 
     The node is the center of the cell. A node is *open* if paths on the grid may pass it, and *clear* if it is open
@@ -394,7 +393,7 @@ def _stencil_edges(
             step[list(axes)] = offset
             end = begin + step
             is_inside = (((end >= 0) & (end < shape)) | np.array(domain.periodic)).all(axis=1)
-            a, b = (np.ravel_multi_index(tuple(ends[is_inside].T), shape, mode="wrap") for ends in (begin, end))
+            a, b = (np.asarray(np.ravel_multi_index(tuple(x[is_inside].T), shape, mode="wrap")) for x in (begin, end))
             a, b = a[is_open.ravel()[b]], b[is_open.ravel()[b]]
             tested = a[~is_clear.ravel()[a]]
             is_free = np.ones(len(a), bool)

@@ -192,11 +192,12 @@ def search(
     end, cost_of = ends[:size].reshape(num_nodes, -1), costs[:size].reshape(num_nodes, -1)
     for half, begin_nodes in nodes.items():
         edges = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
-        cost_at, height_at = (partial(_beside, table, shape=begin_nodes.shape) for table in (cost, height))
+        cost_at = partial(_beside, cost, shape=begin_nodes.shape)
         for step, (i, j) in enumerate(steps):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
             of_step = length * _mean_along(i, j, half, cost_at)
             if height is not None:
+                height_at = partial(_beside, height, shape=begin_nodes.shape)
                 of_step *= _mean_factor(i // 2, j // 2, length, height_at, slope_fn)
             end[edges, step], cost_of[edges, step] = end_nodes(half, i, j).ravel(), of_step.ravel()
     if height is None:  # no path passes where two barriers touch in a corner
@@ -419,7 +420,7 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
     #
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     index = toward.copy()
-    least = np.full(distance.shape, np.inf)
+    least = np.where(label >= 0, -np.inf, np.inf)  # a cell with a source has no next cell
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
         shape = distance.shape[0] - abs(i), distance.shape[1] - abs(j)
         part = partial(_beside, shape=shape, first=(max(-i, 0), max(-j, 0)))
@@ -432,7 +433,6 @@ def _reached_sources(distance: Raster, cost: Raster, step: Sides, label: Nearest
     del index, least
     # 2. Follow the next cells. They have smaller distances, so paths end: in cells with a source, or where no next
     #    cell is better.
-    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward)
     return label.ravel()[path_ends(toward.ravel())].reshape(label.shape)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
 from plr_jax._files import errors_named, yaml_of
@@ -206,7 +206,9 @@ def read_map_server(
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path) as file:
         map_server = _MapServer.read(file)
-        free = map_server.free(unknown_is_free)
+        occupancy = map_server.occupancy
+        # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
+        free = ~(occupancy > map_server.occupied_thresh) if unknown_is_free else occupancy < map_server.free_thresh
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
         return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
 
@@ -288,11 +290,6 @@ class _MapServer:
         free_thresh = _number("free_thresh", entry.get("free_thresh", 0.196))
         occupied_thresh = _number("occupied_thresh", entry.get("occupied_thresh", 0.65))
         return cls(_occupancy(image, mode, bool(negate)), resolution, origin, mode, free_thresh, occupied_thresh)
-
-    def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
-        """Return which pixels are free, ``(rows, columns)``; row 0 is the top row of the picture."""
-        # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
-        return ~(self.occupancy > self.occupied_thresh) if unknown_is_free else self.occupancy < self.free_thresh
 
     def occupancy_grid(self) -> Float[np.ndarray, "rows columns"]:
         """Return the values of ROS's ``OccupancyGrid`` of all pixels, 0 to 100 or -1; row 0 is the top row."""

@@ -332,7 +332,8 @@ class RasterCost:
 
 def nearest_cells(wanted: Bool[np.ndarray, "..."], sides: Float[np.ndarray, " dim"]) -> Any:
     """Return, for each cell of a grid, the indices along all axes of the nearest cell that is ``wanted``."""
-    return tuple(ndimage.distance_transform_edt(~wanted, sides, return_distances=False, return_indices=True))
+    nearest: Any = ndimage.distance_transform_edt(~wanted, sides, return_distances=False, return_indices=True)
+    return tuple(nearest)
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
