@@ -15,7 +15,7 @@ Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix e
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import field, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from math import prod
 from typing import Any
@@ -291,11 +291,13 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
-    no_lookup: dict[str, Any] = {"blocks": None, "pages": None, "leaf_of_slot": np.zeros(0, np.uint16)}
+    zeros = cache(lambda dtype, *shape: jax.device_put(np.zeros(shape, dtype)))
+    no_lookup: dict[str, Any] = {"blocks": None, "pages": None, "leaf_of_slot": zeros(np.uint16, 0)}
     frames: list[Tables] = []
     for i, each in enumerate(tables):
-        no_leaves = np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32)
-        frames.append(replace(each, bits=np.zeros_like(each.bits), leaf_parameters=no_leaves, **no_lookup))
+        no_leaves = zeros(np.float32, each.leaf.num_leaf_parameters(each.dim), 0)
+        bits = zeros(np.uint32, *each.bits.shape)
+        frames.append(replace(each, bits=bits, leaf_parameters=no_leaves, **no_lookup))
         of_straight = tuple(array.shape for array in each.straight or ())
         kinds.setdefault((jax.tree_util.tree_structure(frames[i]), of_straight), []).append(i)
     # 3. Merge the tables of each group.

@@ -15,7 +15,7 @@ from plr_jax.cli.inputs import NamedMap, check_output, parse_goals, read_points
 
 @pytest.mark.parametrize("text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1", "1e400,1", "1,2;", "1 2"])
 def test_goal_must_be_two_finite_numbers(text):
-    with pytest.raises(ValueError, match="--goal must be two numbers"):
+    with pytest.raises(ValueError, match="--goal must be 2 numbers X,Y"):
         parse_goals(["0,0", text])
     np.testing.assert_array_equal(parse_goals(["1, -2.5e1", "0,3"]), [(1, -25), (0, 3)])
 
