@@ -155,7 +155,7 @@ def roadmap_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) 
 
         def by_dijkstra(x: Points, join: Join = join) -> Float[np.ndarray, "1"]:
             _, joined, lengths = join(nearest, x)
-            distances, _ = dijkstra(roadmap.graph, GOAL_VERTEX)
+            distances, _ = dijkstra(roadmap.graph.adjacency, GOAL_VERTEX)
             return np.array([(lengths + distances[joined]).min()])
 
         yield Contender(method, "A\\*, NetworkX", graph_bytes, by_a_star, (1,), lookup)
@@ -178,7 +178,7 @@ def pair_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> 
 
     yield Contender(method, "A\\*, NetworkX", graph_bytes, by_a_star, (1,), num_points=NUM_SEARCHED)
     if len(graph.vertices) - 1 <= MOST_IN_A_TABLE:
-        table = np.stack([dijkstra(graph, vertex)[0] for vertex in range(len(graph.vertices))]).astype(np.float32)
+        table = np.stack([dijkstra(graph.adjacency, vertex)[0] for vertex in range(len(graph.vertices))]).astype(np.float32)
 
         def by_table(x: Points) -> Float[np.ndarray, " n"]:
             a, b = x[:, :2], x[:, 2:]
