@@ -178,7 +178,8 @@ def pair_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> 
 
     yield Contender(method, "A\\*, NetworkX", graph_bytes, by_a_star, (1,), num_points=NUM_SEARCHED)
     if len(graph.vertices) - 1 <= MOST_IN_A_TABLE:
-        table = np.stack([dijkstra(graph.adjacency, vertex)[0] for vertex in range(len(graph.vertices))]).astype(np.float32)
+        lengths, num = graph.adjacency, len(graph.vertices)
+        table = np.stack([dijkstra(lengths, vertex)[0] for vertex in range(num)]).astype(np.float32)
 
         def by_table(x: Points) -> Float[np.ndarray, " n"]:
             a, b = x[:, :2], x[:, 2:]

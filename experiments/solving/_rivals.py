@@ -238,6 +238,7 @@ def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, " dof"], num_sam
     costs = roadmap.distances
     if len(space.motion_cost.blocks) > 1:
         measure = partial(space.motion_cost.lengths, domain=space.domain)
-        costs, _ = graphs.dijkstra(graphs.Graph(roadmap.graph.vertices, roadmap.graph.edges, measure), 0)
+        graph = graphs.Graph(roadmap.graph.vertices, roadmap.graph.edges, measure)
+        costs, _ = graphs.dijkstra(graph.adjacency, 0)
     seconds = time.perf_counter() - began
     return SampledCosts(roadmap.graph.vertices, costs, roadmap, seconds, asked.tests.for_json())
