@@ -18,7 +18,7 @@ MAX_BYTES = 12_000
 
 def test_readme_is_short_and_its_links_exist():
     assert len(README.encode()) <= MAX_BYTES
-    assert len(blocks(README, "python")) == 10
+    assert len(blocks(README, "python")) == 11
     demo, tests = re.findall("^python3 -m venv .*", README, re.MULTILINE)
     assert demo.endswith("plr-jax demo") and tests.endswith("pytest")
     targets = re.findall(r"\]\((?!http)([^)]+)\)", README)
