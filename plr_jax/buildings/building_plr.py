@@ -35,8 +35,8 @@ class BuildingPLR(NumpyBuildingPLR):
         """Return the routes to the goal from starts ``(n, 2)`` on floors, an index or ``(n,)``, read from the file.
 
         Needs cones, else ``ValueError``. As for :func:`trace`, the first segment may cross a wall unless the
-        ``building`` is given, whose walls are then tested. A start without a path, or without a free one, has a route
-        without legs.
+        ``building`` is given, whose walls are then tested. A route that bends, or takes a link, where two walls touch
+        may still pass between these walls. A start without a path, or without a free one, has a route without legs.
         """
         floors, stored = self.floors, self.plane.stored.sources
         given: Any = floors if building is None else getattr(building, "plane_floors", None)
