@@ -225,8 +225,7 @@ def may_see_polygons(
     polygon = polygon_of_range[range_index]
     nx, ny = table.boundary.normal[edge].T[:, :, None]
     height = nx * hull[polygon, :, 0] + ny * hull[polygon, :, 1]
-    is_in_front = height.max(axis=1) >= table.boundary.offset[edge] - table.tolerance
-    may_see[polygon[(edge >= 0) & is_in_front]] = True
+    may_see[polygon[(edge >= 0) & (height.max(axis=1) >= table.boundary.offset[edge] - table.tolerance)]] = True
     return may_see
 
 

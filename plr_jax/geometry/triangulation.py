@@ -292,8 +292,7 @@ def _half_edges(triangles: Triangles) -> Int[np.ndarray, "half_edges 2"]:
 
 
 def _missing_edges(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.ndarray, "missing 2"]:
-    keys = _edge_keys(_half_edges(triangles), num_vertices)
-    return edges[index_of(keys, _edge_keys(edges, num_vertices)) < 0]
+    return edges[index_of(_edge_keys(_half_edges(triangles), num_vertices), _edge_keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
@@ -381,7 +380,6 @@ def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[H
     part = connected_groups(len(triangles), np.stack([passage, twin[passage]]) // 3)
     is_free = np.isin(part, part[np.flatnonzero(wall >= 0) // 3])
     # 3. Number the half-edges of the free triangles.
-    new_index = np.cumsum(is_free) - 1
     rows = np.flatnonzero(np.repeat(is_free, 3))
-    twin = np.where(is_blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
+    twin = np.where(is_blocked, -1, 3 * (np.cumsum(is_free) - 1)[twin // 3] + twin % 3)[rows]
     return triangles.ravel()[rows].astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)

@@ -219,9 +219,8 @@ class Roadmap:
         vertices = np.concatenate([goal[None], samples])
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
         tree = metric.tree(vertices)
-        graph = Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths)
         _arrays.set_fields(self, domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
-        self._search(graph, tree)
+        self._search(Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths), tree)
 
     def __repr__(self) -> str:
         vertices, edges = len(self.graph.vertices), len(self.graph.edges)

@@ -80,10 +80,8 @@ class VisibilityGraph(PickledWithoutCaches):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
         # 1. Find what the corners see, and what the goal sees.
-        if shared is None:
-            shared = PairDistances(workspace, corner_visibility(workspace))
-        corners = shared.visibility
-        mesh = workspace.triangulation
+        shared = shared or PairDistances(workspace, corner_visibility(workspace))
+        corners, mesh = shared.visibility, workspace.triangulation
         goal_table, (_, corner) = goal_view or views_in_sight(corners, mesh, viewpoints_at(mesh, goal[None]))
         # 2. Join the goal, vertex 0, to the corners that it sees and that see it.
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
@@ -422,10 +420,8 @@ class NearestPaths:
         """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
         source, distance = np.full(len(x), -1), np.full(len(x), np.inf)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        places = self.workspace.triangulation.place(x[free])
-        source[free], distance[free] = self.regions.first_visible(
-            x[free], places, lambda i, source: self.table.sees(source, places.x[i])
-        )
+        places, sees = self.workspace.triangulation.place(x[free]), self.table.sees
+        source[free], distance[free] = self.regions.first_visible(x[free], places, lambda i, v: sees(v, places.x[i]))
         return source, distance
 
     def __call__(self, x: ArrayLike) -> Distances:

@@ -117,9 +117,8 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
     y0, y1 = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))[[0, -1], 1]
-    middle = (y0 + y1) / 2
-    half = 0.28 * abs(y1 - y0)
-    return np.array([[x, middle - half], [x, middle + half]])
+    y = (y0 + y1) / 2 + 0.28 * abs(y1 - y0) * np.array([-1, 1])
+    return np.stack([[x, x], y], axis=1)
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
@@ -264,9 +263,8 @@ def plot_path(
     for i in range(len(problem.robots)):
         for k, q in enumerate(poses[:, i]):
             if k == 0 or (q != poses[k - 1, i]).any():  # draw a robot that waits once
-                corners = outline(problem.robots[i], q, problem.workspace.bounds)
                 style = {"facecolor": (color_of(i), 0.13), "edgecolor": (color_of(i), 0.55), "linewidth": 0.6}
-                ax.add_patch(Polygon(corners, **style, zorder=_FADED))
+                ax.add_patch(Polygon(outline(problem.robots[i], q, problem.workspace.bounds), **style, zorder=_FADED))
         ax.plot(*shown[:, i, :2].T, color=color_of(i), linewidth=1.6, solid_joinstyle="round", zorder=_LINE)
         add_body(ax, problem, i, shown[-1, i])
     add_numbers(ax, problem, shown[-1])

@@ -47,9 +47,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
             case {"outer": outer, **others} | {"boundary": outer, **others}:
                 components = [{**others, "outer": outer}]
             case _:
-                raise ValueError(
-                    'expected {"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}.'
-                )
+                forms = '{"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}'
+                raise ValueError(f"expected {forms}.")
         return Workspace.from_polygons(components, squeeze=squeeze)
 
 
@@ -138,10 +137,8 @@ def read_wkt(
                 text = _ALTITUDES.sub(r"\1", _DIMENSIONS.sub(r"\1 ", _REFERENCE.sub("", text)))
                 geometry = shapely.from_wkt(text)
         except (shapely.errors.GEOSException, NotImplementedError) as error:
-            raise ValueError(
-                f"expected one geometry in WKT, got something else ({error}). Put several geometries into a "
-                "GEOMETRYCOLLECTION."
-            ) from None
+            advice = "Put several geometries into a GEOMETRYCOLLECTION."
+            raise ValueError(f"expected one geometry in WKT, got something else ({error}). {advice}") from None
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
 
 
@@ -172,11 +169,11 @@ def _workspace_of(
     width = np.ptp(extent, axis=0).max()
     # A town in degrees is small and far from the origin, and within 180 and 90 degrees.
     if (np.abs(extent) <= _DEGREES).all() and width < _MAX_TOWN and np.abs(extent).max() > 10 * width:
-        warnings.warn(
-            f"{path}: coordinates look like degrees of longitude and latitude, but are used as points of a plane, in "
-            "which a degree is as long along x as along y. Project them first, for example to UTM.",
-            stacklevel=3,
+        problem = (
+            f"{path}: coordinates look like degrees of longitude and latitude, but are used as points of a plane"
         )
+        reason = "in which a degree is as long along x as along y"
+        warnings.warn(f"{problem}, {reason}. Project them first, for example to UTM.", stacklevel=3)
     box = Box.of(extent if bounds is None else bounds, "bounds")
     if polygons == "free":
         return Workspace.from_polygons(shapes, box, squeeze=squeeze)
