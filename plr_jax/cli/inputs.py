@@ -202,8 +202,7 @@ def _parse_rows(rows: list[str], dim: int) -> tuple[Float[np.ndarray, "n dim"], 
     ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
     """
     with suppress(ValueError):
-        read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
-        if read.shape == (len(rows), dim):
+        if (read := np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)).shape == (len(rows), dim):
             return read, []
     if len(rows) == 1:
         return np.full((1, dim), np.nan), [0]

@@ -117,8 +117,9 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Across each open face, find nodes that are one with a node of the other cell (`twins`), and nodes that hang
-    #    on the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it. Find also pairs
-    #    of cells (`crossing`), and the local coordinates in both (`places`) of a point that is a node of neither.
+    #    on the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it. Find also
+    #    pairs of cells (`crossing`), and the local coordinates in both (`places`) of a point that is a node of
+    #    neither.
     stride = (degree + 1) ** np.arange(mesh.dim)[::-1]  # from the place of a node in the lattice to its index
     twins, hangers, crossings = [], [], []
     for axis in range(mesh.dim):

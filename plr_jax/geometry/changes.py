@@ -73,8 +73,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     # 1. Keep triangles unless they have a wall or a vertex that is gone, or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     is_kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
-    segments = change.new.segments[change.is_new]
-    if len(segments):
+    if len(segments := change.new.segments[change.is_new]):
         near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & is_kept)
         polygons = shapely.polygons(old.triangles[near])
         tree = shapely.STRtree(np.asarray(shapely.linestrings(segments)))

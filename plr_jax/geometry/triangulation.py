@@ -172,8 +172,7 @@ class Triangulation(PickledWithoutCaches):
         triangle, turn = self.locate(placed)
         # 1. Points outside move to the nearest place on the nearest wall, or to a grid point just inside of it, since
         #    the wall has few grid points. If no triangle contains any of these, the point is on all sides of one.
-        outside = np.flatnonzero((turn < 0).any(axis=1))
-        if len(outside):
+        if len(outside := np.flatnonzero((turn < 0).any(axis=1))):
             _, edge, foot = boundary.feet(x[outside])
             beside = self.of_wall[edge] // 3
             placed[outside], triangle[outside], turn[outside] = self.on_grid(foot), beside, 0.0
@@ -268,8 +267,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     order = np.argsort(keys)
     triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
     # 4. Insert the missing walls one by one, in integer arithmetic.
-    missing = _missing_edges(triangles, boundary.edges, len(vertices))
-    if len(missing):
+    if len(missing := _missing_edges(triangles, boundary.edges, len(vertices))):
         offset = vertices - vertices.min(axis=0)
         unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
         mesh = _Mesh([(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()], triangles)

@@ -114,8 +114,7 @@ class GridGraph(_CellGraph):
     def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
             raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
-        cells = as_mask(free)
-        if not cells.size:
+        if not (cells := as_mask(free)).size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
         set_fields(self, free=cells, _padded=np.pad(cells, 1), bounds=Box(np.zeros(2), cells.shape[::-1]))

@@ -106,8 +106,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Flags:
     # The test is called only for configurations in the domain; others are not free.
-    inside = domain.contains(x)
-    if inside.any():
+    if (inside := domain.contains(x)).any():
         inside[inside] = _arrays.as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
     return inside
 

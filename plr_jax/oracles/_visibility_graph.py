@@ -81,7 +81,8 @@ class VisibilityGraph(PickledWithoutCaches):
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
         # 1. Find what the corners see, and what the goal sees.
         shared = shared or PairDistances(workspace, corner_visibility(workspace))
-        corners, mesh = shared.visibility, workspace.triangulation
+        corners = shared.visibility
+        mesh = workspace.triangulation
         goal_table, (_, corner) = goal_view or views_in_sight(corners, mesh, viewpoints_at(mesh, goal[None]))
         # 2. Join the goal, vertex 0, to the corners that it sees and that see it.
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
@@ -420,7 +421,8 @@ class NearestPaths:
         """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
         source, distance = np.full(len(x), -1), np.full(len(x), np.inf)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        places, sees = self.workspace.triangulation.place(x[free]), self.table.sees
+        places = self.workspace.triangulation.place(x[free])
+        sees = self.table.sees
         source[free], distance[free] = self.regions.first_visible(x[free], places, lambda i, v: sees(v, places.x[i]))
         return source, distance
 

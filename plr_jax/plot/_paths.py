@@ -44,9 +44,8 @@ class Timeline:
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
         """Return the part of the path from one time to another, with both ends."""
-        inner = self.configurations[(self.times > first) & (self.times < last)]
         ends = self.at(np.array([first, last]))
-        return np.concatenate([ends[:1], inner, ends[1:]])
+        return np.concatenate([ends[:1], self.configurations[(self.times > first) & (self.times < last)], ends[1:]])
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
@@ -55,8 +54,7 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
     ``ValueError`` if the path is not finite.
     """
     path = as_path(problem, path)
-    bad = np.argwhere(~np.isfinite(path))  # (step, robot, coordinate)
-    if bad.size:
+    if (bad := np.argwhere(~np.isfinite(path))).size:  # (step, robot, coordinate)
         raise ValueError(f"A path must be finite, got {path[tuple(bad[0][:2])]} in step {bad[0][0]}.")
     # 1. Sum the moves. Headings change by the shorter turn. A robot without a heading does not turn.
     moves = np.diff(path, axis=0)
@@ -93,8 +91,7 @@ def ink_on(color: str) -> str:
 
 def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
     """Return the corners of a robot's body in its own frame, counterclockwise; a point robot is a small disc."""
-    radius = drawn_rounding(robot, bounds)
-    if radius == 0:
+    if (radius := drawn_rounding(robot, bounds)) == 0:
         return robot.core
     # In each direction u, the farthest point of the body is the farthest core vertex, plus radius * u.
     angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS

@@ -8,7 +8,7 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -91,8 +91,7 @@ def read_geojson(
     path = file_path(path)
     with errors_named(path):
         # 1. Read the polygons. GEOS refuses features whose geometry is null, which GeoJSON allows: skip them.
-        document = json_of(path)
-        if not _is_geojson(document):
+        if not _is_geojson(document := json_of(path)):
             raise ValueError(f'expected GeoJSON of "type" {", ".join(_SUPPORTED_TYPES)}, got {shortened(document)}.')
         if isinstance(items := document.get("features"), list):
             document["features"] = [f for f in items if not isinstance(f, dict) or f.get("geometry", f) is not None]
@@ -103,8 +102,7 @@ def read_geojson(
         # 2. Read the bounds: [west, south, east, north], or six numbers with altitudes.
         if bounds is None and (bbox := document.get("bbox")) is not None:
             expected = "4 numbers, [x0, y0, x1, y1], or 6 with altitudes"
-            corners = as_numbers('"bbox"', bbox, expected)
-            if corners.shape not in ((4,), (6,)):
+            if (corners := as_numbers('"bbox"', bbox, expected)).shape not in ((4,), (6,)):
                 raise ValueError(f'"bbox" must be {expected}, got {shortened(bbox)}.')
             bounds = corners.reshape(2, -1)[:, :2]
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
@@ -142,12 +140,10 @@ def read_wkt(
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
 
 
-def _parts(geometry: Any) -> Iterator[Any]:
+def _parts(geometry: Any) -> list[Any]:
     if isinstance(geometry, BaseMultipartGeometry):
-        for part in geometry.geoms:
-            yield from _parts(part)
-    else:
-        yield geometry
+        return [leaf for part in geometry.geoms for leaf in _parts(part)]
+    return [geometry]
 
 
 def _workspace_of(
@@ -223,8 +219,7 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
 
 def _reader_of(path: Path) -> Callable[..., Workspace]:
     """Return the function that reads a file, chosen by the ending, and for ``.json`` by the content."""
-    ending = path.suffix.lower()
-    if ending not in _READERS:
+    if (ending := path.suffix.lower()) not in _READERS:
         raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_READERS)}.")
     if ending == ".json" and is_scene(path):
         return lambda path: load(path).workspace
