@@ -61,8 +61,7 @@ class NamedMap:
     @property
     def label(self) -> str:
         """The text that describes this map in a PLR's file, such as ``scan.png --goal=3,28 --resolution=0.05``."""
-        goals = [] if self.goals is None else [";".join(f"{x!r},{y!r}" for x, y in self.goals.tolist())]
-        words = [f"--goal={text}" for text in goals]
+        words = [] if self.goals is None else ["--goal=" + ";".join(f"{x!r},{y!r}" for x, y in self.goals.tolist())]
         words += [f"--{key.replace('_', '-')}={value}" for key, value in self.options.items()]
         return shlex.join([self.name, *words])
 

@@ -92,8 +92,7 @@ class Page:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the page to an ``.html`` file; another ending of the name raises ``ValueError``."""
-        path = file_path(path)
-        if path.suffix.lower() != ".html":
+        if (path := file_path(path)).suffix.lower() != ".html":
             raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")
         write_atomically(path, self.html.encode())
 
