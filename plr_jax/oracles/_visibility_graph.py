@@ -449,10 +449,9 @@ class NearestPaths:
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     goal = as_numbers("The goal", workspace.settled(goal), "numbers of shape (2,)")
     if goal.ndim == 2:
-        raise ValueError(
-            f"The goal must be one point (x, y), got an array of shape {goal.shape}. For the nearest of several "
-            "goals, use NearestGoal([first, *map(first.with_goal, others)]); for a PLR per goal, use construct_many."
-        )
+        several = "For the nearest of several goals, use NearestGoal([first, *map(first.with_goal, others)])"
+        advice = f"{several}; for a PLR per goal, use construct_many."
+        raise ValueError(f"The goal must be one point (x, y), got an array of shape {goal.shape}. {advice}")
     goal = as_finite_point("The goal", goal, 2)
     if not workspace.is_free_to_tolerance(goal[None])[0]:
         clearance = f"(clearance {workspace.clearance(goal[None])[0]:.3g})"

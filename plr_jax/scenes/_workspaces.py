@@ -178,10 +178,9 @@ def _workspace_of(
     except ValueError as error:
         if bounds is not None:
             raise
-        raise ValueError(
-            f'{error} The bounds are the bounding box of the polygons: give larger bounds (in GeoJSON a "bbox"), or '
-            "polygons='free'."
-        ) from error
+        advice = 'give larger bounds (in GeoJSON a "bbox")'
+        reason = f"{error} The bounds are the bounding box of the polygons"
+        raise ValueError(f"{reason}: {advice}, or polygons='free'.") from error
 
 
 def _is_geojson(document: Any) -> bool:
