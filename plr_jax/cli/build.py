@@ -21,7 +21,7 @@ def _kinds_of_leaves() -> list[str]:
     return ["best", *leaf_names()]
 
 
-def _reading_option(help: str, default: str) -> Any:
+def _map_option(help: str, default: str) -> Any:
     """Return a command-line option for an argument of the function that reads the map.
 
     An option that the user does not give is None, and is not passed to that function, so that the function's own
@@ -85,22 +85,20 @@ def build(
             "--leaf-bounds", help="Store proven bounds for every cell, 2 bytes each, not one bound for all."
         ),
     ] = False,
-    resolution: Annotated[
-        float | None, _reading_option("Side of a pixel of a picture, in workspace units.", "1")
-    ] = None,
+    resolution: Annotated[float | None, _map_option("Side of a pixel of a picture, in workspace units.", "1")] = None,
     threshold: Annotated[
-        float | None, _reading_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
+        float | None, _map_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
     ] = None,
     drop_specks: Annotated[
-        int | None, _reading_option("Drop obstacles and free components of at most this many pixels.", "0")
+        int | None, _map_option("Drop obstacles and free components of at most this many pixels.", "0")
     ] = None,
     polygons: Annotated[
         Literal["obstacles", "free"] | None,
-        _reading_option("Whether polygons are obstacles or free space.", "obstacles in GeoJSON, free in .wkt"),
+        _map_option("Whether polygons are obstacles or free space.", "obstacles in GeoJSON, free in .wkt"),
     ] = None,
     radius: Annotated[
         float | None,
-        _reading_option(
+        _map_option(
             "Radius of a disc robot, in workspace units; distances are for its center. Error bounds are proven for "
             "the grown obstacles, whose round corners are polygons; outlines of pictures may be off by half a pixel.",
             "0, a point",

@@ -239,9 +239,8 @@ def export(
     elif js:  # a module of pairs may keep both ends free
         distance = content if hasattr(content, "to") and not goal else _distance_of(content, file, goal)
         if not hasattr(distance, "js_module"):
-            raise ValueError(
-                f"{file} is a PLR of a building, which becomes a C header or, by view, a page: not --js."
-            )
+            kinds = "a C header or, by view, a page"
+            raise ValueError(f"{file} is a PLR of a building, which becomes {kinds}: not --js.")
         text = distance.js_module()
     else:
         text = _distance_of(content, file, goal).c_header(output.stem, compact=compact)
@@ -273,8 +272,7 @@ def view(
     check_output(output, (".html",), inputs=(file, map))
     content = load(file)
     plane = getattr(content, "plane", content)
-    needs_map = map is not None or isinstance(plane, PLR)
-    workspace = read_map_of_file(file, plane, map)[0] if needs_map else None
+    workspace = read_map_of_file(file, plane, map)[0] if map is not None or isinstance(plane, PLR) else None
     written = page(content, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")

@@ -61,8 +61,7 @@ class NamedMap:
     @property
     def label(self) -> str:
         """The text that describes this map in a PLR's file, such as ``scan.png --goal=3,28 --resolution=0.05``."""
-        goals = [] if self.goals is None else [";".join(f"{x!r},{y!r}" for x, y in self.goals.tolist())]
-        words = [f"--goal={text}" for text in goals]
+        words = [] if self.goals is None else ["--goal=" + ";".join(f"{x!r},{y!r}" for x, y in self.goals.tolist())]
         words += [f"--{key.replace('_', '-')}={value}" for key, value in self.options.items()]
         return shlex.join([self.name, *words])
 
@@ -202,8 +201,7 @@ def _parse_rows(rows: list[str], dim: int) -> tuple[Float[np.ndarray, "n dim"], 
     ``np.loadtxt`` reads many rows fast, but reads none if one is bad: then each half of the rows is read by itself.
     """
     with suppress(ValueError):
-        read = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
-        if read.shape == (len(rows), dim):
+        if (read := np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)).shape == (len(rows), dim):
             return read, []
     if len(rows) == 1:
         return np.full((1, dim), np.nan), [0]

@@ -116,9 +116,10 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     """Build the finite-element space of ``degree`` 1 or 2 on a mesh (see :class:`FunctionSpace`)."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
-    # 1. Across each open face, find nodes that are one with a node of the other cell (`same`), and nodes that hang on
-    #    the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it. Find also pairs
-    #    of cells (`crossing`), and the local coordinates in both (`places`) of a point that is a node of neither.
+    # 1. Across each open face, find nodes that are one with a node of the other cell (`twins`), and nodes that hang
+    #    on the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it. Find also
+    #    pairs of cells (`crossing`), and the local coordinates in both (`places`) of a point that is a node of
+    #    neither.
     stride = (degree + 1) ** np.arange(mesh.dim)[::-1]  # from the place of a node in the lattice to its index
     twins, hangers, crossings = [], [], []
     for axis in range(mesh.dim):
@@ -150,13 +151,12 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         t[:, :, axis] = [[1.0], [0.0]]
         is_node = (t * degree == np.rint(t * degree)).all(axis=2).any(axis=0)
         crossings.append((pair[:, ~is_node], t[:, ~is_node]))
-    same = np.concatenate(twins, axis=1)
     hanging, on_cell, at = (np.concatenate(rows) for rows in zip(*hangers, strict=True))
     crossing, places = (np.concatenate(columns, axis=1) for columns in zip(*crossings, strict=True))
     # 2. Number groups of nodes that are one, and express hanging groups by free ones: a hanging group's value is the
     #    sum over the cell's nodes of the basis function at its place times the value of the node's group. Groups are
     #    replaced until only free ones remain: row i of `resolved` has their weights in the value of group i.
-    group = connected_groups(num_nodes, same)
+    group = connected_groups(num_nodes, np.concatenate(twins, axis=1))
     num_groups = int(group.max()) + 1
     of_hanging, first = np.unique(group[hanging], return_index=True)
     entries = np.repeat(of_hanging, size), group[_nodes_of_cells(on_cell[first], size)]

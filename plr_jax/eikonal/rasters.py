@@ -177,9 +177,8 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
     if is_data_array(raster) and is_data_array(costs):
         pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
         if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
-            expected = f"the dimensions {costs.dims} and coordinates of costs"
-            advice = "use reindex_like(costs) or interp_like(costs)"
-            raise ValueError(f"{name} must have {expected}, got other ones: {advice}.")
+            expected = f"the dimensions {costs.dims} and coordinates of costs, got other ones"
+            raise ValueError(f"{name} must have {expected}: use reindex_like(costs) or interp_like(costs).")
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
@@ -213,10 +212,9 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     low, high = float(cost.min()), float(cost.max(where=np.isfinite(cost), initial=0.0))
     fits = min(low, low * cell) >= 1e-290 and max(high, high * width) <= min(1e290, 1e140 * low * cell)
     if not (fits and cell >= 1e-140 and width <= 1e140):
-        raise ValueError(
-            "Lengths must be from 1e-140 to 1e140; costs, also times lengths, from 1e-290 to 1e290 and at most 1e140 "
-            f"apart: got costs {low:g} to {high:g}, lengths {cell:g} to {width:g}. Use other units."
-        )
+        ranges = "1e-140 to 1e140; costs, also times lengths, from 1e-290 to 1e290 and at most 1e140 apart"
+        got = f"costs {low:g} to {high:g}, lengths {cell:g} to {width:g}"
+        raise ValueError(f"Lengths must be from {ranges}: got {got}. Use other units.")
     return cost, box, flips
 
 

@@ -140,8 +140,7 @@ class FamilyCells:
         A box that no wall reaches into is one piece.
         """
         # 1. Cut all triangles into parts, sorted by box: the triangle of part ``i`` is ``part[i]``.
-        triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
-        pieces, box, part = clip_to_boxes(triangles, lo, hi)
+        pieces, box, part = clip_to_boxes(np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1)), lo, hi)
         # 2. Make one piece of all parts of a free box, and a piece of each part of any other box.
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
         is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
@@ -234,14 +233,11 @@ def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[Family
     view[:, 0] = np.arange(num)
     points, distances, parents = concatenated([goal.sources for goal in goals], "points", "distances", "parents")
     parents += np.repeat(count * np.arange(num), count)
-    sources = Sources(points, distances, parents)
     # 3. Find the turn points of sources, which lie goal by goal.
-    first = np.cumsum([0, *(len(goal.turns.vertex) for goal in goals)])
-    turn = np.full((num, count), first[-1] - 1)  # also of corners that no path turns at, which are never tested
-    turn[:, 0] = -1
-    for i, goal in enumerate(goals):
-        turn[i, goal.turns.vertex] = first[i] + np.arange(len(goal.turns.vertex))
     vertex, at, distance = concatenated([goal.turns for goal in goals], "vertex", "points", "distance")
+    turn = np.full((num, count), len(vertex) - 1)  # also of corners that no path turns at, which are never tested
+    turn[:, 0] = -1
+    turn[np.repeat(np.arange(num), [len(goal.turns.vertex) for goal in goals]), vertex] = np.arange(len(vertex))
     normal = np.concatenate([goal.turns.normal for goal in goals], axis=1)
     turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
-    return Sight(sources, view.ravel(), turn.ravel(), shadows, turns, sight.triangulation)
+    return Sight(Sources(points, distances, parents), view.ravel(), turn.ravel(), shadows, turns, sight.triangulation)

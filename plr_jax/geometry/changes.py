@@ -73,8 +73,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     # 1. Keep triangles unless they have a wall or a vertex that is gone, or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     is_kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
-    segments = change.new.segments[change.is_new]
-    if len(segments):
+    if len(segments := change.new.segments[change.is_new]):
         near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & is_kept)
         polygons = shapely.polygons(old.triangles[near])
         tree = shapely.STRtree(np.asarray(shapely.linestrings(segments)))
@@ -225,8 +224,7 @@ def may_see_polygons(
     polygon = polygon_of_range[range_index]
     nx, ny = table.boundary.normal[edge].T[:, :, None]
     height = nx * hull[polygon, :, 0] + ny * hull[polygon, :, 1]
-    is_in_front = height.max(axis=1) >= table.boundary.offset[edge] - table.tolerance
-    may_see[polygon[(edge >= 0) & is_in_front]] = True
+    may_see[polygon[(edge >= 0) & (height.max(axis=1) >= table.boundary.offset[edge] - table.tolerance)]] = True
     return may_see
 
 

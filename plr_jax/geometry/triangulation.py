@@ -172,8 +172,7 @@ class Triangulation(PickledWithoutCaches):
         triangle, turn = self.locate(placed)
         # 1. Points outside move to the nearest place on the nearest wall, or to a grid point just inside of it, since
         #    the wall has few grid points. If no triangle contains any of these, the point is on all sides of one.
-        outside = np.flatnonzero((turn < 0).any(axis=1))
-        if len(outside):
+        if len(outside := np.flatnonzero((turn < 0).any(axis=1))):
             _, edge, foot = boundary.feet(x[outside])
             beside = self.of_wall[edge] // 3
             placed[outside], triangle[outside], turn[outside] = self.on_grid(foot), beside, 0.0
@@ -268,8 +267,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     order = np.argsort(keys)
     triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
     # 4. Insert the missing walls one by one, in integer arithmetic.
-    missing = _missing_edges(triangles, boundary.edges, len(vertices))
-    if len(missing):
+    if len(missing := _missing_edges(triangles, boundary.edges, len(vertices))):
         offset = vertices - vertices.min(axis=0)
         unit = np.exp2(np.ceil(np.log2(offset.max())) - _BITS)
         mesh = _Mesh([(x, y) for x, y in np.rint(offset / unit).astype(np.int64).tolist()], triangles)
@@ -292,8 +290,7 @@ def _half_edges(triangles: Triangles) -> Int[np.ndarray, "half_edges 2"]:
 
 
 def _missing_edges(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.ndarray, "missing 2"]:
-    keys = _edge_keys(_half_edges(triangles), num_vertices)
-    return edges[index_of(keys, _edge_keys(edges, num_vertices)) < 0]
+    return edges[index_of(_edge_keys(_half_edges(triangles), num_vertices), _edge_keys(edges, num_vertices)) < 0]
 
 
 class _Mesh:
@@ -381,7 +378,6 @@ def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[H
     part = connected_groups(len(triangles), np.stack([passage, twin[passage]]) // 3)
     is_free = np.isin(part, part[np.flatnonzero(wall >= 0) // 3])
     # 3. Number the half-edges of the free triangles.
-    new_index = np.cumsum(is_free) - 1
     rows = np.flatnonzero(np.repeat(is_free, 3))
-    twin = np.where(is_blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
+    twin = np.where(is_blocked, -1, 3 * (np.cumsum(is_free) - 1)[twin // 3] + twin % 3)[rows]
     return triangles.ravel()[rows].astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)

@@ -114,8 +114,7 @@ class GridGraph(_CellGraph):
     def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
             raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
-        cells = as_mask(free)
-        if not cells.size:
+        if not (cells := as_mask(free)).size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
         set_fields(self, free=cells, _padded=np.pad(cells, 1), bounds=Box(np.zeros(2), cells.shape[::-1]))
@@ -336,14 +335,13 @@ class GridField:
         The distance is ``inf`` if the cell of the point has no value, and for points outside the bounds or with a
         NaN.
         """
-        x = self.bounds.settled(x, lambda single: np.isfinite(self(single)))
-        x = as_points("x", x, self.dim)
+        x = as_points("x", self.bounds.settled(x, lambda single: np.isfinite(self(single))), self.dim)
         distances = np.full(len(x), np.inf)
-        for begin in range(0, len(x), _POINTS):
-            part = x[begin : begin + _POINTS]
-            inside = np.flatnonzero(self.bounds.contains(part))
-            values, is_known = self.interpolated(part[inside])
-            distances[begin + inside[is_known]] = values[is_known]
+        inside = np.flatnonzero(self.bounds.contains(x))
+        for begin in range(0, len(inside), _POINTS):
+            rows = inside[begin : begin + _POINTS]
+            values, is_known = self.interpolated(x[rows])
+            distances[rows[is_known]] = values[is_known]
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, " n"]]:
@@ -387,7 +385,7 @@ class GridField:
         padded = np.where(np.isfinite(self.values), self.values, np.nan)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):
             padded = padded.take(np.arange(-1, padded.shape[axis] + 1), axis, mode="wrap" if is_periodic else "clip")
-        is_known, is_split = ~np.isnan(padded), None
-        if padded.ndim > 1 and not is_known.all():
-            is_split = are_disconnected(is_known, range(padded.ndim))
+        is_known = ~np.isnan(padded)
+        has_gaps = padded.ndim > 1 and not is_known.all()
+        is_split = are_disconnected(is_known, range(padded.ndim)) if has_gaps else None
         return padded, np.where(is_known, padded, 0.0), is_known.astype(float), is_split

@@ -106,8 +106,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 def _checked_is_free(domain: Box, is_free: IsFree, x: Points) -> Flags:
     # The test is called only for configurations in the domain; others are not free.
-    inside = domain.contains(x)
-    if inside.any():
+    if (inside := domain.contains(x)).any():
         inside[inside] = _arrays.as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
     return inside
 
@@ -219,9 +218,8 @@ class Roadmap:
         vertices = np.concatenate([goal[None], samples])
         radius = prm_star_radius(len(vertices), domain.dim, free_volume)
         tree = metric.tree(vertices)
-        graph = Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths)
         _arrays.set_fields(self, domain=domain, is_free=is_free, is_visible=is_visible, radius=radius, _metric=metric)
-        self._search(graph, tree)
+        self._search(Graph(vertices, visible_edges(vertices, tree, radius, is_visible), metric.lengths), tree)
 
     def __repr__(self) -> str:
         vertices, edges = len(self.graph.vertices), len(self.graph.edges)

@@ -9,17 +9,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 
-from plr_jax._arrays import (
-    PickledWithoutCaches,
-    as_offsets,
-    as_point,
-    as_points,
-    as_queries,
-    as_values,
-    is_traced,
-    set_fields,
-    shortened,
-)
+from plr_jax import _arrays
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike, CellSources, DimensionedFn, DistanceFn, Reach
 from plr_jax.geometry.box import Box
@@ -30,7 +20,7 @@ _SHRINKAGE = 4  # robots are shrunk by this many times the workspace's tolerance
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class NearestGoal(PickledWithoutCaches):
+class NearestGoal(_arrays.PickledWithoutCaches):
     """Distance to the nearest of several goals, such as docks or exits, and the index of that goal.
 
         first = plr_jax.VisibilityGraph(workspace, exits[0])
@@ -57,19 +47,13 @@ class NearestGoal(PickledWithoutCaches):
     def __init__(self, distance_fns: Sequence[DimensionedFn], offsets: ArrayLike | None = None):
         fns = tuple(distance_fns) if isinstance(distance_fns, list | tuple) else ()
         if not fns or not all(isinstance(fn, DimensionedFn) for fn in fns) or len({fn.dim for fn in fns}) > 1:
-            raise ValueError(
-                "NearestGoal needs a list of distance functions, one per goal, such as VisibilityGraphs or PLRs of "
-                f"the same dim, got {shortened(distance_fns)}."
-            )
+            advice = "such as VisibilityGraphs or PLRs of the same dim"
+            got = _arrays.shortened(distance_fns)
+            raise ValueError(f"NearestGoal needs a list of distance functions, one per goal, {advice}, got {got}.")
         graphs = tuple(fn for fn in fns if isinstance(fn, VisibilityGraph))
         share_map = len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1
-        set_fields(
-            self,
-            distance_fns=fns,
-            offsets=as_offsets(offsets, len(fns)),
-            dim=fns[0].dim,
-            _graphs=graphs if share_map else (),
-        )
+        _arrays.set_fields(self, distance_fns=fns, offsets=_arrays.as_offsets(offsets, len(fns)), dim=fns[0].dim)
+        _arrays.set_fields(self, _graphs=graphs if share_map else ())
 
     @cached_property
     def _paths(self) -> NearestPaths:
@@ -111,22 +95,22 @@ class NearestGoal(PickledWithoutCaches):
 
         ``ValueError`` is raised if the distance function of that goal has no method ``shortest_path``.
         """
-        as_point("The start", x, self.dim)
-        nearest: Any = self.distance_fns[self.which(as_queries(x)[None])[0]]
+        _arrays.as_point("The start", x, self.dim)
+        nearest: Any = self.distance_fns[self.which(_arrays.as_queries(x)[None])[0]]
         if not hasattr(type(nearest), "shortest_path"):
-            raise ValueError(
-                f"Paths need oracles with shortest_path, got {shortened(nearest)}: use trace or descend."
-            )
+            got = _arrays.shortened(nearest)
+            raise ValueError(f"Paths need oracles with shortest_path, got {got}: use trace or descend.")
         return nearest.shortest_path(x)
 
     def _distances(self, x: ArrayLike) -> Any:
-        if is_traced(x):
+        if _arrays.is_traced(x):
             shifted = [fn(x) + offset for fn, offset in zip(self.distance_fns, self.offsets, strict=True)]
             answers = x.__array_namespace__().stack(shifted)
             return answers.__array_namespace__().nan_to_num(answers, nan=np.inf, posinf=np.inf)
-        num = len(as_points("x", x, self.dim))
-        x = as_queries(x)  # functions must know which points come as 32-bit floats
-        values = np.array([as_values(f"Distance function {i}", fn(x), num) for i, fn in enumerate(self.distance_fns)])
+        num = len(_arrays.as_points("x", x, self.dim))
+        x = _arrays.as_queries(x)  # functions must know which points come as 32-bit floats
+        answers = enumerate(fn(x) for fn in self.distance_fns)
+        values = np.array([_arrays.as_values(f"Distance function {i}", answer, num) for i, answer in answers])
         values += self.offsets[:, None]
         return np.where(np.isnan(values), np.inf, values)  # PLRs answer NaN at points with a NaN
 

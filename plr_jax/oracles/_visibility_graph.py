@@ -80,8 +80,7 @@ class VisibilityGraph(PickledWithoutCaches):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
         # 1. Find what the corners see, and what the goal sees.
-        if shared is None:
-            shared = PairDistances(workspace, corner_visibility(workspace))
+        shared = shared or PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
         mesh = workspace.triangulation
         goal_table, (_, corner) = goal_view or views_in_sight(corners, mesh, viewpoints_at(mesh, goal[None]))
@@ -423,9 +422,8 @@ class NearestPaths:
         source, distance = np.full(len(x), -1), np.full(len(x), np.inf)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         places = self.workspace.triangulation.place(x[free])
-        source[free], distance[free] = self.regions.first_visible(
-            x[free], places, lambda i, source: self.table.sees(source, places.x[i])
-        )
+        sees = self.table.sees
+        source[free], distance[free] = self.regions.first_visible(x[free], places, lambda i, v: sees(v, places.x[i]))
         return source, distance
 
     def __call__(self, x: ArrayLike) -> Distances:
@@ -451,10 +449,9 @@ class NearestPaths:
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
     goal = as_numbers("The goal", workspace.settled(goal), "numbers of shape (2,)")
     if goal.ndim == 2:
-        raise ValueError(
-            f"The goal must be one point (x, y), got an array of shape {goal.shape}. For the nearest of several "
-            "goals, use NearestGoal([first, *map(first.with_goal, others)]); for a PLR per goal, use construct_many."
-        )
+        several = "For the nearest of several goals, use NearestGoal([first, *map(first.with_goal, others)])"
+        advice = f"{several}; for a PLR per goal, use construct_many."
+        raise ValueError(f"The goal must be one point (x, y), got an array of shape {goal.shape}. {advice}")
     goal = as_finite_point("The goal", goal, 2)
     if not workspace.is_free_to_tolerance(goal[None])[0]:
         clearance = f"(clearance {workspace.clearance(goal[None])[0]:.3g})"

@@ -326,13 +326,11 @@ class CornerLabels:
             return [looked_up(table, xp.minimum(begin + place, last)) for begin in begins]
 
         def is_common(place: Any) -> Any:
-            of_a, of_b = at(self.ancestor, place)
-            return (place < shorter) & (of_a == of_b)
+            return (place < shorter) & xp.equal(*at(self.ancestor, place))
 
         def after_place(state: tuple[Any, Any]) -> tuple[Any, Any]:
             place, least = state
-            from_a, from_b = at(self.length, place)
-            return place + 1, xp.where(is_common(place), xp.minimum(least, from_a + from_b), least)
+            return place + 1, xp.where(is_common(place), xp.minimum(least, xp.add(*at(self.length, place))), least)
 
         state = xp.int32(0), xp.full(shorter.shape, _NO_PATH, np.int32)
         if xp is np:
@@ -356,9 +354,8 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     if has_table and len(edges) * (len(edges) + 1) // 2 * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     # 2. Eliminate corners, and compute distances in reverse order: to ancestors if there are many corners, else all.
-    with tqdm(
-        desc="construct_grid_pairs", unit=" corners", total=2 * len(edges), delay=2, leave=False, disable=None
-    ) as progress:
+    options = {"total": 2 * len(edges), "delay": 2, "leave": False, "disable": None}
+    with tqdm(desc="construct_grid_pairs", unit=" corners", **options) as progress:
         order, uppers = _eliminated(edges, progress)
         if not has_table:
             labels = _labels(order, uppers, progress)
@@ -497,8 +494,7 @@ def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.nda
     for n, corner in enumerate(reversed(order)):
         progress.update()
         distances[n, n] = 0
-        nearby = uppers[corner]
-        if nearby:
+        if nearby := uppers[corner]:
             lengths = np.fromiter(nearby.values(), np.int32, len(nearby))
             via_neighbor = distances[place[list(nearby)], :n] + lengths[:, None]
             distances[n, :n] = distances[:n, n] = np.minimum(via_neighbor.min(axis=0), _NO_PATH)

@@ -203,8 +203,7 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     for part in parts(num_blocks, _BLOCKS_AT_ONCE):
         cell, block = ragged_indices(num_blocks[part])
         place = np.minimum(BLOCK * block[:, None] + np.arange(BLOCK), counts[part][cell, None] - 1)
-        begin = first_block[part.start]
-        blocks[begin : begin + len(cell)] = corners[first[part][cell, None] + place]
+        blocks[first_block[part.start] : first_block[part.stop]] = corners[first[part][cell, None] + place]
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     row, column = (places.astype(np.int32) for places in np.nonzero(grid_corners.corner_cells(free)))
@@ -212,9 +211,7 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     distances = grid_corners.corner_distances(free, connectivity)
     tables = GridTables(sight_of(free, connectivity), *arrays, distances=distances)
     # Queries also read empty tables, and ignore the value: give empty tables one entry.
-    return jax.tree_util.tree_map(
-        lambda table: table if table.size else jnp.zeros([max(size, 1) for size in table.shape], table.dtype), tables
-    )
+    return jax.tree.map(lambda a: a if a.size else jnp.zeros([max(n, 1) for n in a.shape], a.dtype), tables)
 
 
 @jax.jit

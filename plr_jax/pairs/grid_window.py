@@ -63,8 +63,7 @@ def distances_around(
     is_first = np.arange(len(rim[0]))[:, None] % max(4 * radius, 1) == corner
     lengths = _lengths_of_rim(tables, jnp.stack([row[rim], column[rim]], axis=-1), free[rim], goal, is_first)
     # 4. Spread lengths from the rim and the goal into the square.
-    is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
-    initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[rim].min(lengths)
+    initial = jnp.where((row == goal[:, 0]) & (column == goal[:, 1]), 0, FAR).astype(jnp.int32).at[rim].min(lengths)
     reached = _spread(tables.connectivity, jnp.where(free, initial, FAR), free)
     answered = free & inside & goal_inside & (reached < FAR)
     return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
@@ -84,10 +83,7 @@ def _lengths_of_rim(tables: GridTables, cells: _RimCells, free: _RimFlags, goal:
 
     In other cases, the length of the cell in the middle is looked up.
     """
-    # Free cells next to a blocked cell of the rim are looked up at once, so that both ends of each run of free cells
-    # are known.
     straight = int(open_length(tables.connectivity, 0, 1))
-    beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def extreme_known(is_known: _RimFlags, extreme: Any, outside: Int32[Array, " n"], reverse: bool) -> _Rim:
@@ -114,7 +110,9 @@ def _lengths_of_rim(tables: GridTables, cells: _RimCells, free: _RimFlags, goal:
         is_wanted = free & ~is_known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
         return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), is_known | new, is_wanted
 
-    is_wanted = free & (is_first | beside_blocked)
+    # Free cells next to a blocked cell of the rim are looked up at once, so that both ends of each run of free cells
+    # are known.
+    is_wanted = free & (is_first | ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0))
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), is_wanted
     return lax.while_loop(lambda state: state[2].any(), look_up_round, none)[0]
 

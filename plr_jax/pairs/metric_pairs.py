@@ -90,8 +90,7 @@ def construct_metric_pairs(
         domain: The box of both points, a ``Box`` or its two corners, of at most 3 dimensions, else ``ValueError``.
         **options: Options of :func:`construct`, such as limits, leaf model and seed.
     """
-    domain = Box.of(domain)
-    if domain.dim > 3:
+    if (domain := Box.of(domain)).dim > 3:
         raise ValueError(f"The box of a metric may have at most 3 dimensions, got {domain.dim}.")
     require_function("distance_fn", distance_fn)
     box_of_pairs = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))

@@ -45,8 +45,7 @@ def with_thin_parts(
     ``vertex`` is the index of the boundary vertex at each point of the outline. Return the new outline, and the
     vertex at each of its points, -1 at cuts. A sharp tip between thin walls gets two points with the same vertex.
     """
-    spans = _thin_spans(outline, free_space, width)
-    if not any(spans.values()):
+    if not any((spans := _thin_spans(outline, free_space, width)).values()):
         return outline, vertex
     # 1. Halve the lattice step while it stays at least the finest one: cuts and second points need close places.
     finer = 2 ** int(np.log2(max(1.0, outline.step / (FINEST * width))))

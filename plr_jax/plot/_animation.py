@@ -125,13 +125,10 @@ class Animation:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a looping ``.gif``, or an ``.html`` page with a time slider; another ending raises ``ValueError``."""
         path = file_path(path)
-        ending = path.suffix.lower()
-        if ending == ".gif":
-            write_atomically(path, _gif(self))
-        elif ending == ".html":
-            write_atomically(path, player(self.problem, self.motion, self.seconds).encode())
-        else:
+        if (ending := path.suffix.lower()) not in (".gif", ".html"):
             raise ValueError(f"An animation must be written to a .gif or .html file, got {str(path)!r}.")
+        content = _gif(self) if ending == ".gif" else player(self.problem, self.motion, self.seconds).encode()
+        write_atomically(path, content)
 
     def __repr__(self) -> str:
         return f"Animation({len(self.problem.robots)} robots, {len(self.motion.times)} steps, {self.seconds:g} s)"

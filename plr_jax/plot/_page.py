@@ -92,8 +92,7 @@ class Page:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the page to an ``.html`` file; another ending of the name raises ``ValueError``."""
-        path = file_path(path)
-        if path.suffix.lower() != ".html":
+        if (path := file_path(path)).suffix.lower() != ".html":
             raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")
         write_atomically(path, self.html.encode())
 
@@ -124,8 +123,7 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
         parts = zip((of_building.lo + shift).tolist(), (of_building.hi + shift).tolist(), shift.tolist(), strict=True)
         floors = [dict(zip(("lo", "hi", "shift"), part, strict=True)) for part in parts]
         for index, link in of_building.arcs:
-            at = (link.start[1] + shift[link.start[0]]).tolist()
-            links.append({"at": at, "index": index, "to": link.end[0]})
+            links.append({"at": (link.start[1] + shift[link.start[0]]).tolist(), "index": index, "to": link.end[0]})
     if not isinstance(source, PLR | PairPLR):
         raise ValueError(f"A page needs a PLR or a PairPLR in the plane, got {shortened(source)}.")
     if source.domain.dim != 2:
@@ -171,7 +169,6 @@ def _module(data: bytes) -> str:
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")
     # A page's script cannot export: make the module the body of a function that returns what the module exports, and
     # the tree, from which the page draws the cells. The module of a PLR with one leaf has no tree.
-    tree = "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"
-    exported = ", ".join([*_EXPORTED.findall(module), tree])
+    exported = ", ".join([*_EXPORTED.findall(module), "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"])
     code = module.replace("export function", "function") + f"\nreturn {{ {exported} }};"
     return f'{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: "{plr.num_leaves:,} cells", error: {error} }}'

@@ -44,9 +44,8 @@ class Timeline:
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
         """Return the part of the path from one time to another, with both ends."""
-        inner = self.configurations[(self.times > first) & (self.times < last)]
         ends = self.at(np.array([first, last]))
-        return np.concatenate([ends[:1], inner, ends[1:]])
+        return np.concatenate([ends[:1], self.configurations[(self.times > first) & (self.times < last)], ends[1:]])
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
@@ -55,8 +54,7 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
     ``ValueError`` if the path is not finite.
     """
     path = as_path(problem, path)
-    bad = np.argwhere(~np.isfinite(path))  # (step, robot, coordinate)
-    if bad.size:
+    if (bad := np.argwhere(~np.isfinite(path))).size:  # (step, robot, coordinate)
         raise ValueError(f"A path must be finite, got {path[tuple(bad[0][:2])]} in step {bad[0][0]}.")
     # 1. Sum the moves. Headings change by the shorter turn. A robot without a heading does not turn.
     moves = np.diff(path, axis=0)
@@ -93,8 +91,7 @@ def ink_on(color: str) -> str:
 
 def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
     """Return the corners of a robot's body in its own frame, counterclockwise; a point robot is a small disc."""
-    radius = drawn_rounding(robot, bounds)
-    if radius == 0:
+    if (radius := drawn_rounding(robot, bounds)) == 0:
         return robot.core
     # In each direction u, the farthest point of the body is the farthest core vertex, plus radius * u.
     angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
@@ -117,9 +114,8 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
     y0, y1 = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))[[0, -1], 1]
-    middle = (y0 + y1) / 2
-    half = 0.28 * abs(y1 - y0)
-    return np.array([[x, middle - half], [x, middle + half]])
+    y = (y0 + y1) / 2 + 0.28 * abs(y1 - y0) * np.array([-1, 1])
+    return np.stack([[x, x], y], axis=1)
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
@@ -264,9 +260,8 @@ def plot_path(
     for i in range(len(problem.robots)):
         for k, q in enumerate(poses[:, i]):
             if k == 0 or (q != poses[k - 1, i]).any():  # draw a robot that waits once
-                corners = outline(problem.robots[i], q, problem.workspace.bounds)
                 style = {"facecolor": (color_of(i), 0.13), "edgecolor": (color_of(i), 0.55), "linewidth": 0.6}
-                ax.add_patch(Polygon(corners, **style, zorder=_FADED))
+                ax.add_patch(Polygon(outline(problem.robots[i], q, problem.workspace.bounds), **style, zorder=_FADED))
         ax.plot(*shown[:, i, :2].T, color=color_of(i), linewidth=1.6, solid_joinstyle="round", zorder=_LINE)
         add_body(ax, problem, i, shown[-1, i])
     add_numbers(ax, problem, shown[-1])

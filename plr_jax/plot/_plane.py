@@ -48,8 +48,7 @@ def plot_surface(
     """
     if plr.domain.dim != 2:
         raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
-    pieces = _pieces(plr, workspace)
-    if not pieces:
+    if not (pieces := _pieces(plr, workspace)):
         raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
     # 1. A polygon has the color of its mean height.
     heights = np.array([piece[:, 2].mean() for piece in pieces])
@@ -173,8 +172,7 @@ def plot_contours(
                 is_free &= shapely.intersects_xy(reached, points[..., 0], points[..., 1])
     # 3. Draw values. Those inside obstacles are covered later, so that colors reach the walls; they do not affect the
     #    color scale.
-    free_values = values[is_free]
-    if not free_values.count():
+    if not (free_values := values[is_free]).count():
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
     largest = float(free_values.max())
     image = _add_image(ax, shown.box, values, _axes.DISTANCE_COLORS, Normalize(0.0, largest))
@@ -241,8 +239,7 @@ def plot_error(
             to pictures that are to be compared.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
-    finite = errors[np.isfinite(errors)]
-    if finite.size == 0:
+    if not (finite := errors[np.isfinite(errors)]).size:
         raise ValueError("There is nothing to draw: no error is finite.")
     shown = Slice.of(workspace.bounds if isinstance(workspace, Workspace) else workspace.domain, at)
     ax = _axes.prepare_axes(ax, shown)
@@ -252,8 +249,7 @@ def plot_error(
     shown_errors = np.ma.masked_invalid(np.maximum(errors, smallest))
     image = _add_image(ax, shown.box, shown_errors, _ERROR_COLORS, LogNorm(smallest, largest or 1.0))
     # 2. Draw infinite errors in the lowest color of "autumn", which is red.
-    unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
-    if unanswered.count():
+    if (unanswered := np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))).count():
         _add_image(ax, shown.box, unanswered, "autumn", Normalize(1.0, 2.0))
     # 3. Cover obstacles, and label.
     if isinstance(workspace, Workspace):

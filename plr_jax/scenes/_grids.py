@@ -55,14 +55,12 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
                 got = shortened(lines[:_HEADER_LINES])
                 raise ValueError(f"expected a Moving AI map that begins with {header}, got {got}.")
         # 2. Read the rows, one character per cell; more lines may follow.
-        grid = lines[_HEADER_LINES : _HEADER_LINES + rows]
-        if len(grid) < rows:
+        if len(grid := lines[_HEADER_LINES : _HEADER_LINES + rows]) < rows:
             raise ValueError(f"expected {rows} rows, as the header says, got {len(grid)}.")
         for number, line in enumerate(grid, start=_HEADER_LINES + 1):
             if len(line) != columns:
                 raise ValueError(f"line {number}: expected {columns} cells, got {len(line)}.")
-        free = np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))
-        if not free.any():
+        if not (free := np.isin(np.array([list(line) for line in grid]), list(_PASSABLE))).any():
             raise ValueError(f"expected at least one passable cell (one of {', '.join(_PASSABLE)}), got none.")
         return free
 
@@ -82,8 +80,7 @@ def read_volume(path: str | os.PathLike[str]) -> Bool[np.ndarray, "..."]:
     has another ending, is damaged or too large, or has no free voxel raises ``ValueError``.
     """
     with errors_named(path) as file:
-        ending = file.suffix.lower()
-        if ending not in (".npy", ".3dmap"):
+        if (ending := file.suffix.lower()) not in (".npy", ".3dmap"):
             raise ValueError("expected a file that ends in .npy or .3dmap; trimesh turns meshes into voxels.")
         free = _read_voxel_array(file) if ending == ".npy" else _read_voxel_list(file)
         if not free.any():
@@ -123,8 +120,7 @@ def _read_voxel_list(path: Path) -> Bool[np.ndarray, "x y z"]:
         raise ValueError(f"expected one to {max_voxels:,} voxels in a file of this size, got {' x '.join(sizes)}.")
     free = np.ones(shape, bool)
     # 2. Read the indices of blocked voxels.
-    lines = [line for line in body.splitlines() if line and not line.isspace()]
-    if not lines:
+    if not (lines := [line for line in body.splitlines() if line and not line.isspace()]):
         return free
     try:
         blocked = np.loadtxt(lines, comments=None, ndmin=2)

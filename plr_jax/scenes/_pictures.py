@@ -92,8 +92,7 @@ def open_picture(path: Path) -> Iterator["Image"]:
 
     with path.open("rb") as file, warnings.catch_warnings():
         # 1. Read the header, which tells the size and the kind of pixels.
-        num_bytes = os.fstat(file.fileno()).st_size
-        if num_bytes > _MOST_BYTES:
+        if (num_bytes := os.fstat(file.fileno()).st_size) > _MOST_BYTES:
             raise ValueError(f"expected a picture of at most {_MOST_BYTES:,} bytes, got a larger file.")
         warnings.simplefilter("ignore")  # Pillow warns of what is rejected here or harmless
         try:
@@ -122,8 +121,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES_PER_PIXEL.get(picture.mode, 4) > _MOST_DECODED:
         limits = f"at most {_MOST_PIXELS:,} pixels, {_MOST_DECODED // 4:,} in color"
         raise ValueError(f"expected a picture of {limits}, got {size}: make it smaller.")
-    max_pixels = max(_SMALL, _PIXELS_PER_BYTE * num_bytes)
-    if num_pixels > max_pixels:
+    if num_pixels > (max_pixels := max(_SMALL, _PIXELS_PER_BYTE * num_bytes)):
         limit = f"at most {max_pixels:,} pixels in a file of {num_bytes:,} bytes"
         raise ValueError(f"expected {limit}, got {size}: it is damaged, or nearly all of one color; crop it.")
 
@@ -140,10 +138,9 @@ def _require_plain(picture: Any) -> None:
     if tags and picture.mode.startswith("I"):  # gray of more than 8 bits
         is_plain &= tags.get(_BITS_PER_SAMPLE) == (16,) and tags.get(_PHOTOMETRIC) == _BLACK_IS_ZERO
     if picture.mode == "F" or not is_plain:
-        raise ValueError(
-            "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels: "
-            "save it in 8 bits for a map of walls; for costs use RasterCost of what rioxarray.open_rasterio reads."
-        )
+        expected = "black, gray or color in 8 or 16 bits, unsigned and 0 for black"
+        advice = "for a map of walls; for costs use RasterCost of what rioxarray.open_rasterio reads"
+        raise ValueError(f"expected {expected}, got a TIFF of other pixels: save it in 8 bits {advice}.")
     # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
     if picture.tile and "transparency" in picture.info:
         raw_mode = str(picture.tile[0][3])  # how the file stores pixels: "L;4" is gray of 4 bits
@@ -268,23 +265,19 @@ class _MapServer:
         """Read and check the ``.yaml`` file of a map, with ROS's defaults, and its picture."""
         # 1. Find the picture.
         entry = yaml_of(path)
-        missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
-        if missing:
+        if missing := [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]:
             raise ValueError(f"expected the keys {', '.join(_REQUIRED)}; missing {', '.join(missing)}.")
         if not isinstance(entry["image"], str) or (image := path.parent / entry["image"]).is_dir():
             raise ValueError(f"image must be the name of a picture, got {shortened(entry['image'])}.")
         if not image.exists():
             raise FileNotFoundError(errno.ENOENT, f"No such picture, named as image in {path}", str(image))
         # 2. Check what its pixels mean, and where it lies.
-        mode = entry.get("mode", "trinary")
-        if mode not in _MODES:
+        if (mode := entry.get("mode", "trinary")) not in _MODES:
             raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
-        negate = entry.get("negate", 0)
-        if negate not in (0, 1):
+        if (negate := entry.get("negate", 0)) not in (0, 1):
             raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
         resolution = as_finite("resolution", _number("resolution", entry["resolution"]), positive=True)
-        origin = entry["origin"]
-        if not isinstance(origin, list) or len(origin) not in (2, 3):
+        if not isinstance(origin := entry["origin"], list) or len(origin) not in (2, 3):
             raise ValueError(f"origin must be [x, y, yaw], got {shortened(origin)}.")
         origin = np.array([_number("origin", value) for value in [*origin, 0.0][:3]])
         free_thresh = _number("free_thresh", entry.get("free_thresh", 0.196))

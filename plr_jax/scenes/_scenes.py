@@ -164,9 +164,8 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)
     rng = np.random.default_rng(seed)
-    for i in range(len(problem.robots)):
-        for end in range(2):
-            problem = _moved(problem, end, i, rng, distance)
+    for i, end in np.ndindex(len(problem.robots), 2):
+        problem = _moved(problem, end, i, rng, distance)
     return problem
 
 

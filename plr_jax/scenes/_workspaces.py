@@ -8,7 +8,7 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -47,9 +47,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
             case {"outer": outer, **others} | {"boundary": outer, **others}:
                 components = [{**others, "outer": outer}]
             case _:
-                raise ValueError(
-                    'expected {"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}.'
-                )
+                forms = '{"components": [{"outer", "holes"}, ...]}, {"outer", "holes"} or {"boundary", "holes"}'
+                raise ValueError(f"expected {forms}.")
         return Workspace.from_polygons(components, squeeze=squeeze)
 
 
@@ -92,8 +91,7 @@ def read_geojson(
     path = file_path(path)
     with errors_named(path):
         # 1. Read the polygons. GEOS refuses features whose geometry is null, which GeoJSON allows: skip them.
-        document = json_of(path)
-        if not _is_geojson(document):
+        if not _is_geojson(document := json_of(path)):
             raise ValueError(f'expected GeoJSON of "type" {", ".join(_SUPPORTED_TYPES)}, got {shortened(document)}.')
         if isinstance(items := document.get("features"), list):
             document["features"] = [f for f in items if not isinstance(f, dict) or f.get("geometry", f) is not None]
@@ -104,8 +102,7 @@ def read_geojson(
         # 2. Read the bounds: [west, south, east, north], or six numbers with altitudes.
         if bounds is None and (bbox := document.get("bbox")) is not None:
             expected = "4 numbers, [x0, y0, x1, y1], or 6 with altitudes"
-            corners = as_numbers('"bbox"', bbox, expected)
-            if corners.shape not in ((4,), (6,)):
+            if (corners := as_numbers('"bbox"', bbox, expected)).shape not in ((4,), (6,)):
                 raise ValueError(f'"bbox" must be {expected}, got {shortened(bbox)}.')
             bounds = corners.reshape(2, -1)[:, :2]
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
@@ -138,19 +135,15 @@ def read_wkt(
                 text = _ALTITUDES.sub(r"\1", _DIMENSIONS.sub(r"\1 ", _REFERENCE.sub("", text)))
                 geometry = shapely.from_wkt(text)
         except (shapely.errors.GEOSException, NotImplementedError) as error:
-            raise ValueError(
-                f"expected one geometry in WKT, got something else ({error}). Put several geometries into a "
-                "GEOMETRYCOLLECTION."
-            ) from None
+            advice = "Put several geometries into a GEOMETRYCOLLECTION."
+            raise ValueError(f"expected one geometry in WKT, got something else ({error}). {advice}") from None
         return _workspace_of(path, geometry, polygons, bounds, squeeze)
 
 
-def _parts(geometry: Any) -> Iterator[Any]:
+def _parts(geometry: Any) -> list[Any]:
     if isinstance(geometry, BaseMultipartGeometry):
-        for part in geometry.geoms:
-            yield from _parts(part)
-    else:
-        yield geometry
+        return [leaf for part in geometry.geoms for leaf in _parts(part)]
+    return [geometry]
 
 
 def _workspace_of(
@@ -172,11 +165,11 @@ def _workspace_of(
     width = np.ptp(extent, axis=0).max()
     # A town in degrees is small and far from the origin, and within 180 and 90 degrees.
     if (np.abs(extent) <= _DEGREES).all() and width < _MAX_TOWN and np.abs(extent).max() > 10 * width:
-        warnings.warn(
-            f"{path}: coordinates look like degrees of longitude and latitude, but are used as points of a plane, in "
-            "which a degree is as long along x as along y. Project them first, for example to UTM.",
-            stacklevel=3,
+        problem = (
+            f"{path}: coordinates look like degrees of longitude and latitude, but are used as points of a plane"
         )
+        reason = "in which a degree is as long along x as along y"
+        warnings.warn(f"{problem}, {reason}. Project them first, for example to UTM.", stacklevel=3)
     box = Box.of(extent if bounds is None else bounds, "bounds")
     if polygons == "free":
         return Workspace.from_polygons(shapes, box, squeeze=squeeze)
@@ -185,10 +178,9 @@ def _workspace_of(
     except ValueError as error:
         if bounds is not None:
             raise
-        raise ValueError(
-            f'{error} The bounds are the bounding box of the polygons: give larger bounds (in GeoJSON a "bbox"), or '
-            "polygons='free'."
-        ) from error
+        advice = 'give larger bounds (in GeoJSON a "bbox")'
+        reason = f"{error} The bounds are the bounding box of the polygons"
+        raise ValueError(f"{reason}: {advice}, or polygons='free'.") from error
 
 
 def _is_geojson(document: Any) -> bool:
@@ -226,8 +218,7 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
 
 def _reader_of(path: Path) -> Callable[..., Workspace]:
     """Return the function that reads a file, chosen by the ending, and for ``.json`` by the content."""
-    ending = path.suffix.lower()
-    if ending not in _READERS:
+    if (ending := path.suffix.lower()) not in _READERS:
         raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_READERS)}.")
     if ending == ".json" and is_scene(path):
         return lambda path: load(path).workspace
