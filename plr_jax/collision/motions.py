@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import batches, require_time
+from plr_jax._arrays import batches, require_time, slices
 from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -129,8 +129,7 @@ def motions_apart(
     if batch.size > _MOST and batch.shape[0] > 1:
         size = max(1, _MOST * batch.shape[0] // batch.size)
         apart = np.empty(batch.shape, dtype=bool)
-        for begin in range(0, batch.shape[0], size):
-            rows = slice(begin, begin + size)
+        for rows in slices(batch.shape[0], size):
             a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
             apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
         return apart

@@ -89,8 +89,7 @@ def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"
         primitive = np.concatenate([primitive[rows, parent], last[..., None].astype(np.uint8)], axis=2)
     # 3. Sort them.
     order = np.argsort(score, axis=1, kind="stable")
-    step_score = np.take_along_axis(score, order, axis=1)
-    return Beam(step_score, primitive[rows, order], num_scored, num_valid, is_complete)
+    return Beam(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, is_complete)
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.inf) -> list[Table]:
@@ -212,8 +211,7 @@ class BestFirstSearch:
                 by_width.setdefault(self.next_widths.get(node, _WIDTH), []).append(node)
         most = max(kind.cost.shape[1] for kind in self.joint.kinds)
         for width, of_width in by_width.items():
-            size = max(1, _PRODUCTS // (width * most))
-            for part in batches(of_width, size):
+            for part in batches(of_width, max(1, _PRODUCTS // (width * most))):
                 # 2. Reserve the memory of the widest beams so far, as later ones may be as wide.
                 num_bytes = (len(part) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.memory_use.add(max(0, num_bytes - self.max_product_bytes))

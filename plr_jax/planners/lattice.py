@@ -38,8 +38,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot
 
 # Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
-_NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
-PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
+PRIMITIVES = (*((dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy), (0, 0, 1), (0, 0, -1))
 # Cells and their representatives:
 _SAMPLES = 7  # samples per axis in a cell whose center is blocked; more find narrower gaps
 _WIDEST_TURN = np.pi / 4  # widest cell along the heading, in radians, so that even a small robot has 8 headings
@@ -244,9 +243,8 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
     grid = CellGrid(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, np.empty(child.shape))
     # 3. Choose the representatives, then test the motions between them; a chunk has all headings of its positions.
     num_headings = math.prod(grid.shape[2:])
-    size = max(1, _CHUNK // num_headings) * num_headings
     for choose_or_connect in (grid.choose_representatives, grid.connect):
-        for cells in batches(np.arange(len(q)), size):
+        for cells in batches(np.arange(len(q)), max(1, _CHUNK // num_headings) * num_headings):
             require_time(deadline, "the lattice was built")
             choose_or_connect(cells, deadline)
     return grid
@@ -340,11 +338,10 @@ class Kind:
         #     edge     dummy          dummy: room for a terminal edge
         #     dummy    dummy          dummy: room for a terminal edge
         #
-        order = np.argsort(self.end[: self.num_shared], kind="stable")
-        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges in this order
+        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges sorted by their ends
         size = max(int(rank.max()) + 1, 1 + max(len(edges) for edges in self.terminal_edges))
         into = np.full((size, len(self.q)), self.num_edges)
-        into[rank, end] = order
+        into[rank, end] = np.argsort(self.end[: self.num_shared], kind="stable")
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
@@ -456,8 +453,8 @@ class JointLattice:
         """
         costs = {}
         for kind in self.kinds:
-            size = int(np.clip(_NODES // len(kind.q), 1, _GOALS))  # goals of one call of Dijkstra's algorithm
-            for rows in batches(np.arange(len(kind.members)), size):
+            # A batch has the goals of one call of Dijkstra's algorithm.
+            for rows in batches(np.arange(len(kind.members)), int(np.clip(_NODES // len(kind.q), 1, _GOALS))):
                 require_time(self.test.deadline, "the costs-to-go were known", _SECONDS * len(kind.q))
                 costs.update(zip(kind.members[rows].tolist(), kind.costs_to_go(rows), strict=True))
         return [costs[i] for i in range(len(self.lattices))]

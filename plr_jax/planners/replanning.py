@@ -334,8 +334,7 @@ class _LifelongTeam:
         new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         while new:
             i = new.pop()
-            offset = goals[:, :2] - goals[i, :2]
-            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < size + size[i])
+            near = np.flatnonzero(np.hypot(*(goals - goals[i])[:, :2].T) < size + size[i])
             q = goals[:, None]
             pairs = ((robots[i], q[i], q[i], robots[j], q[j], q[j]) for j in near.tolist() if j != i)
             if not all(motions_apart(*pair, tolerance).all() for pair in pairs):
