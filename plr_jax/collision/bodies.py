@@ -67,8 +67,7 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 
     The result has no shape yet (its ``size`` is empty): ``with_size`` adds the shape.
     """
-    heading = q0[:, 2] if robot.dof == 3 else np.zeros(len(q0))
-    turn = shorter_turn(q0[:, 2], q1[:, 2]) if robot.dof == 3 else np.zeros(len(q0))
+    heading, turn = (q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])) if robot.dof == 3 else np.zeros((2, len(q0)))
     dx, dy = q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1]
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 

@@ -141,8 +141,7 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     # 2. Find the zero: it lies between the last time at which the slope is negative and the next time.
     num_negative = np.count_nonzero(slopes < 0, axis=0)[None]
     last, after = np.maximum(num_negative - 1, 0), np.minimum(num_negative, len(times) - 1)
-    t0, t1 = (np.take_along_axis(times, index, axis=0)[0] for index in (last, after))
-    s0, s1 = (np.take_along_axis(slopes, index, axis=0)[0] for index in (last, after))
+    (t0, s0), (t1, s1) = ([np.take_along_axis(x, k, axis=0)[0] for x in (times, slopes)] for k in (last, after))
     fraction = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
     return np.sum(excess(t0 + np.clip(fraction, 0, 1) * (t1 - t0)) ** 2, axis=0)
 

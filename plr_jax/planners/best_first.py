@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from tqdm import tqdm
 
-from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
+from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time, slices
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
@@ -98,15 +98,14 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.i
     ``TimeoutError`` after the ``deadline``, a time of ``time.perf_counter``.
     """
     size = max(len(lattice.q) for lattice in joint.lattices)
-    # Shorten the chunks of large teams: a call has fewer than `16 * _CHUNK` configurations of single robots.
-    chunk = max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     values = np.empty(state.shape)
-    for begin in range(0, size, chunk):
+    # Shorten the chunks of large teams: a call has fewer than `16 * _CHUNK` configurations of single robots.
+    for rows in slices(size, max(1, _CHUNK // (1 + len(joint.lattices) // 16))):
         require_time(deadline, _PURPOSE)
-        q = joint.configurations(state[begin : begin + chunk])
-        values[begin : begin + chunk] = require_estimates(heuristic.per_robot(q), q.shape[:2])
+        q = joint.configurations(state[rows])
+        values[rows] = require_estimates(heuristic.per_robot(q), q.shape[:2])
     return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
 
 

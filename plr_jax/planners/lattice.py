@@ -54,6 +54,8 @@ Table: TypeAlias = Float[np.ndarray, " _"]  # a cost at each node of a robot's l
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: a node of each robot's lattice
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "*n primitives"], Bool[np.ndarray, "*n primitives"]]
 Ends: TypeAlias = Float[np.ndarray, "*#n #primitives dof"]  # ends of motions
+Members: TypeAlias = Int[np.ndarray, " robots"]  # indices in the team
+Collisions: TypeAlias = tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]
 
 
 class CellGrid(NamedTuple):
@@ -133,9 +135,7 @@ class CellGrid(NamedTuple):
         cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
 
-    def with_terminals(
-        self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
-    ) -> "Kind":
+    def with_terminals(self, robot: Robot, members: Members, starts: Configurations, goals: Configurations) -> "Kind":
         """Add the starts and goals of robots as nodes, and return the lattice of these robots.
 
         All these robots have the shape ``robot``. ``members`` are their indices in the team, in the order of the rows
@@ -285,7 +285,7 @@ class Kind:
     """
 
     robot: Robot
-    members: Int[np.ndarray, " robots"]  # indices in the team
+    members: Members
     q: Float[np.ndarray, "nodes dof"]
     child: Int[np.ndarray, "nodes primitives"]
     cost: Float[np.ndarray, "nodes primitives"]
@@ -477,9 +477,7 @@ class JointLattice:
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
 
-    def collisions(
-        self, i: int, j: int, state: State
-    ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
+    def collisions(self, i: int, j: int, state: State) -> Collisions:
         """Return the rows of ``state`` in which robots ``i`` and ``j`` are near, and their primitives that collide.
 
         A row of ``state`` has a node for each robot. Robots are near if one motion of each may bring their bodies

@@ -59,9 +59,8 @@ class CornerRoadmap:
         end = np.concatenate([ends[1:], self.q, self.q])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
         out, home = cost[1:].reshape(2, len(self.q))
-        to_go = (home + self.cost).min(axis=1, initial=np.inf)
         first, last = (ends @ _COMPLEX).tolist()
-        return Routes(self, first, last, float(cost[0]), out, home, to_go)
+        return Routes(self, first, last, float(cost[0]), out, home, (home + self.cost).min(axis=1, initial=np.inf))
 
     def between(self, u: int, v: int) -> Route:
         return [self.places[corner] for corner in path_from_root(self._previous[u], v)]

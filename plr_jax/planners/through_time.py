@@ -8,12 +8,12 @@ needs at that speed. In the other searches, all robots make one lattice motion i
 import heapq
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
 from plr_jax._problem import JointPath, Problem, row_times, straight_costs
-from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
+from plr_jax.collision.motions import Booleans, JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots import between
 
@@ -62,9 +62,7 @@ class Timetable:
         self.ends[i] = len(q) - 1
         self.ignored.discard(i)
 
-    def are_free(
-        self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
-    ) -> Bool[np.ndarray, " m"]:
+    def are_free(self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows) -> Booleans:
         """Return whether robot ``i`` meets no other robot on each straight motion from ``begin[k]`` to ``end[k]``.
 
         The motion begins in row ``row[k]`` of the timetable and takes ``count[k]`` time steps.

@@ -45,12 +45,14 @@ class CostMap(Protocol):
 
     def __call__(self, q: ArrayLike, /) -> Numbers:
         """Return the factor of the motion cost, ``(n,)``, at configurations ``(n, dof)``."""
+        ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Numbers, Numbers]:
         """Return positive lower and finite upper bounds of the factor, ``(n,)``, over boxes from ``lo`` to ``hi``.
 
         Boxes may extend beyond the domain along periodic axes.
         """
+        ...
 
 
 @runtime_checkable
@@ -96,6 +98,7 @@ class DirectionalCost(CostMap, Protocol):
         Returns:
             The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.
         """
+        ...
 
 
 @dataclass(frozen=True)

@@ -98,13 +98,16 @@ class FreeTest(Protocol):
     @property
     def domain(self) -> Box:
         """The box of all configurations; outside it nothing is free. Periodic axes wrap around."""
+        ...
 
     @property
     def motion_cost(self) -> MotionCost:
         """Cost of a motion as a function of its change along each axis of the domain."""
+        ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether configurations ``(n, dof)`` are free; False for configurations that are not finite."""
+        ...
 
 
 @runtime_checkable
@@ -121,6 +124,7 @@ class ConfigurationSpace(FreeTest, Protocol):
 
         ``lo`` and ``hi`` are the boxes' corners, ``(n, dof)``. Boxes may extend beyond the domain.
         """
+        ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions from ``q0`` to ``q1``, ``(n, dof)``, are proven free all the way.
@@ -128,6 +132,7 @@ class ConfigurationSpace(FreeTest, Protocol):
         All axes change in proportion. Periodic axes take the short way; at exactly half a period, the space chooses
         one of the two ways. The result is False where an end is not finite.
         """
+        ...
 
 
 @runtime_checkable
@@ -143,6 +148,7 @@ class Separable(Protocol):
         Each part is a space of its own, in which configurations of the other part count as BLOCKED. The second part
         is None if it is empty.
         """
+        ...
 
 
 @runtime_checkable
@@ -158,6 +164,7 @@ class SeesBoxes(Protocol):
         Box ``i`` reaches from ``lo[i]`` to ``hi[i]``. To see a configuration means that the straight motion from it
         to ``q[i]`` is free.
         """
+        ...
 
 
 def as_motions(q0: ArrayLike, q1: ArrayLike, dof: int) -> tuple[Configurations, Configurations]:
