@@ -400,9 +400,7 @@ def _shift_nodes(costs: PathCosts, nodes: Nodes, onward: Next, first: Int[np.nda
     return nodes
 
 
-def _cheapest_places(
-    costs: PathCosts, before: Nodes, x: Nodes, after: Nodes, changes: Float[np.ndarray, "k dim"]
-) -> Nodes:
+def _cheapest_places(costs: PathCosts, before: Nodes, x: Nodes, after: Nodes, changes: Nodes) -> Nodes:
     """Return, for each ``i``, the point through which the path from ``before[i]`` to ``after[i]`` costs least.
 
     The candidates are ``x[i]``, and ``x[i] + changes[j]`` for each ``j``. The path consists of two straight motions,

@@ -73,8 +73,7 @@ class Robot:
         """
         # A box with k sides of positive length has 2**k vertices, all with the same |x| and |y|.
         half = np.abs(self.core[0])
-        is_box = len(self.core) == 2 ** np.count_nonzero(half) and (np.abs(self.core) == half).all()
-        return half if is_box else None
+        return half if len(self.core) == 2 ** np.count_nonzero(half) and (np.abs(self.core) == half).all() else None
 
 
 def check_body(name: str, robot: Robot) -> None:

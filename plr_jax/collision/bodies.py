@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import ragged_indices, require_time
+from plr_jax._arrays import ragged_indices, require_time, slices
 from plr_jax.geometry.vectors import distance_to_segment, nearest_on_segment
 from plr_jax.robots import Robot, shorter_turn
 
@@ -67,8 +67,7 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 
     The result has no shape yet (its ``size`` is empty): ``with_size`` adds the shape.
     """
-    heading = q0[:, 2] if robot.dof == 3 else np.zeros(len(q0))
-    turn = shorter_turn(q0[:, 2], q1[:, 2]) if robot.dof == 3 else np.zeros(len(q0))
+    heading, turn = (q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])) if robot.dof == 3 else np.zeros((2, len(q0)))
     dx, dy = q1[:, 0] - q0[:, 0], q1[:, 1] - q0[:, 1]
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
@@ -91,8 +90,7 @@ def bisect(kernel: Kernel, a: MovingBodies, b: MovingBodies, reach: float, deadl
     while waiting:
         a, b, pair, bisections = waiting.pop()
         if len(pair) > size:
-            for part in (slice(begin, begin + size) for begin in range(0, len(pair), size)):
-                waiting.append((a.take(part), b.take(part), pair[part], bisections))
+            waiting += [(a.take(part), b.take(part), pair[part], bisections) for part in slices(len(pair), size)]
             continue
         require_time(deadline, "all motions were tested")
         gap, gap_at_ends = kernel(a, b, reach)
@@ -263,8 +261,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
         # The other body must be on the same side of the axis at both ends.
         gap = np.maximum(gap, np.minimum(np.abs(u0) - support0, np.where(u0 < 0, -u1, u1) - support1) - bulge)
     # 3. At each end, the axes along the sides decide (separating axis theorem).
-    separation = np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))
-    return gap, separation
+    return gap, np.minimum(*(np.max([np.abs(u) - support for u, support in axes], axis=0) for axes in (first, last)))
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:

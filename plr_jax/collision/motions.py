@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import batches, require_time
+from plr_jax._arrays import batches, require_time, slices
 from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -28,6 +28,7 @@ OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
 OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
+Booleans: TypeAlias = Bool[np.ndarray, " m"]
 
 
 class Circles(NamedTuple):
@@ -129,8 +130,7 @@ def motions_apart(
     if batch.size > _MOST and batch.shape[0] > 1:
         size = max(1, _MOST * batch.shape[0] // batch.size)
         apart = np.empty(batch.shape, dtype=bool)
-        for begin in range(0, batch.shape[0], size):
-            rows = slice(begin, begin + size)
+        for rows in slices(batch.shape[0], size):
             a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
             apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
         return apart
@@ -190,16 +190,14 @@ class JointMotionTest:
     def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Bool[np.ndarray, "*batch"]:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
-    def meet(
-        self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, first_row: Rows, j: Rows
-    ) -> Bool[np.ndarray, " m"]:
+    def meet(self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, row: Rows, j: Rows) -> Booleans:
         """Return whether each of ``m`` motions of robot ``i`` hits another robot, which moves at the same time.
 
         Robot ``i`` moves from ``begin[k]`` to ``end[k]``; at the same time, robot ``j[k]`` moves from row
-        ``first_row[k]`` of ``trajectory`` to the next row. ``result[k]`` says whether they hit each other.
+        ``row[k]`` of ``trajectory`` to the next row. ``result[k]`` says whether they hit each other.
         """
-        others_begin, others_end = trajectory.path[first_row, j], trajectory.path[first_row + 1, j]
-        result = np.empty(len(first_row), dtype=bool)
+        others_begin, others_end = trajectory.path[row, j], trajectory.path[row + 1, j]
+        result = np.empty(len(row), dtype=bool)
         for kind in set(self.first_equal[j].tolist()):
             rows = np.flatnonzero(self.first_equal[j] == kind)
             result[rows] = ~self.apart(i, begin[rows], end[rows], kind, others_begin[rows], others_end[rows])

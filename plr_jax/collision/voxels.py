@@ -101,35 +101,24 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
         # 2. Test the ball in the middle of each part.
         middle = (a + b) / 2
         is_clear[motion[blocked_within(grid, middle, middle, radius)]] = False
-        # 3. Decide short parts: test their whole motions against the voxels near the part.
+        # 3. Decide short parts: test their whole motions against the blocked voxels within the radius of the part.
+        #    Pairs of a part (`piece`) and a voxel (a number per axis) come in batches, by rows of voxels.
         short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & is_clear[motion]
         lo, hi = np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
-        for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
-            tested = motion[short][piece]
+        for piece, first, last in _rows_within(grid, lo, hi, radius):
+            row = np.flatnonzero(grid.num_blocked(first, last))
+            index, place = ragged_indices(last[-1, row] - first[-1, row] + 1)
+            row = row[index]  # of each voxel
+            voxel = first[:, row]
+            voxel[-1] += place
+            blocked = ~grid.padded[tuple(voxel)]
+            tested, voxel = motion[short][piece[row[blocked]]], voxel[:, blocked]
             is_clear[tested[squared_distances(grid, q0[:, tested], q1[:, tested], voxel) < radius**2]] = False
         # 4. Halve the remaining parts, unless their motion hits a voxel.
         halved = is_clear[motion] & ~short
         width /= 2
         motion, begin = np.tile(motion[halved], 2), np.append(begin[halved], begin[halved] + width)
     return is_clear
-
-
-def _blocked_voxels_within(
-    grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
-) -> Iterator[tuple[Int[np.ndarray, " m"], Numbers]]:
-    """Yield, in batches, the pairs of a box and a blocked voxel that are within ``radius`` of each other.
-
-    A box leads from corner ``lo`` to corner ``hi``. A batch is, for each pair, the index of the box, and the numbers
-    of the voxel (a number per axis).
-    """
-    for box, begin, end in _rows_within(grid, lo, hi, radius):
-        row = np.flatnonzero(grid.num_blocked(begin, end))
-        index, place = ragged_indices(end[-1, row] - begin[-1, row] + 1)
-        row = row[index]  # of each voxel
-        voxel = begin[:, row]
-        voxel[-1] += place
-        blocked = ~grid.padded[tuple(voxel)]
-        yield box[row[blocked]], voxel[:, blocked]
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, " n"]:
@@ -152,8 +141,7 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     # 2. Find the zero: it lies between the last time at which the slope is negative and the next time.
     num_negative = np.count_nonzero(slopes < 0, axis=0)[None]
     last, after = np.maximum(num_negative - 1, 0), np.minimum(num_negative, len(times) - 1)
-    t0, t1 = (np.take_along_axis(times, index, axis=0)[0] for index in (last, after))
-    s0, s1 = (np.take_along_axis(slopes, index, axis=0)[0] for index in (last, after))
+    (t0, s0), (t1, s1) = ([np.take_along_axis(x, k, axis=0)[0] for x in (times, slopes)] for k in (last, after))
     fraction = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
     return np.sum(excess(t0 + np.clip(fraction, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
@@ -209,19 +197,25 @@ class Traversal:
 
     def _cross(self, rows: Int[np.ndarray, " n"], live: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "..."]:
         # Move `at` across the next faces, and return in which of the voxels around that point each motion can be.
-        # 1. Find the faces that each motion crosses next, and the free voxels around the crossing.
-        step, layers = self.step[:, rows], self.layers[:, rows]
-        crossed, face = self._crossed_next(rows)
+        # 1. Find the next face along every axis, the axes along which each motion crosses its next face or faces, and
+        #    the free voxels around the crossing. Along several axes, crossings may be nearly simultaneous.
+        at, step, layers, q0, q1 = (table[:, rows] for table in (self.at, self.step, self.layers, self.q0, self.q1))
+        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, at + (step > 0), strict=True)])
+        time = np.full(face.shape, np.inf)
+        np.divide(face - q0, q1 - q0, out=time, where=at != self.last[:, rows])
+        crossed = time <= _NEARLY * time.min(axis=0) + _LEAST_TIME
         around = self._free_around(rows, np.where(crossed, step, layers))
-        # 2. Decide exactly which of nearly simultaneous crossings come first. It matters only if some voxel around is
-        #    blocked.
+        # 2. Decide which of nearly simultaneous crossings come first, by rational arithmetic, as rounding may have
+        #    changed the order of times. It matters only if some voxel around is blocked.
         narrow = np.flatnonzero(~around.all(axis=1))
         doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
+        for i in doubtful.tolist():
+            axes = np.flatnonzero(crossed[:, i])
+            ends = ([Fraction(x) for x in table[axes, i].tolist()] for table in (face, q0, q1))
+            times = [(place - begin) / (end - begin) for place, begin, end in zip(*ends, strict=True)]
+            crossed[axes, i] = [time == min(times) for time in times]
         if len(doubtful):
-            motions = rows[doubtful]
-            first = _first_crossed(crossed[:, doubtful], face[:, doubtful], self.q0[:, motions], self.q1[:, motions])
-            crossed[:, doubtful] = first
-            around[doubtful] = self._free_around(motions, np.where(first, step[:, doubtful], layers[:, doubtful]))
+            around[doubtful] = self._free_around(rows[doubtful], np.where(crossed, step, layers)[:, doubtful])
         # 3. Voxels beyond the crossed faces (with all bits in `beyond`) are reached from free voxels on the near
         #    side, through faces of free voxels around the crossing. `around` becomes the voxels that are reached.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
@@ -233,27 +227,3 @@ class Traversal:
         # `span`: the step, along each axis, from the voxels with bit 0 to the voxels with bit 1.
         index = self.strides @ self.at[:, motions]
         return self.grid.padded.ravel()[index[:, None] + (span.T * self.strides) @ self.bits.T]
-
-    def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
-        """Return the axes along which each motion crosses its next face or faces, and the next face along every axis.
-
-        The axes are booleans, and the faces coordinates. Along several axes, crossings may be nearly simultaneous.
-        """
-        at, q0 = self.at[:, rows], self.q0[:, rows]
-        face = np.stack([faces[k] for faces, k in zip(self.grid.faces, at + (self.step[:, rows] > 0), strict=True)])
-        time = np.full(face.shape, np.inf)
-        np.divide(face - q0, self.q1[:, rows] - q0, out=time, where=at != self.last[:, rows])
-        return time <= _NEARLY * time.min(axis=0) + _LEAST_TIME, face
-
-
-def _first_crossed(
-    crossed: Bool[np.ndarray, "dim n"], face: Coordinates, q0: Coordinates, q1: Coordinates
-) -> Bool[np.ndarray, "dim n"]:
-    # Rational arithmetic: rounding may have changed the order of times.
-    first = np.zeros_like(crossed)
-    for i in range(crossed.shape[1]):
-        axes = np.flatnonzero(crossed[:, i])
-        ends = ([Fraction(x) for x in table[axes, i].tolist()] for table in (face, q0, q1))
-        times = [(at - begin) / (end - begin) for at, begin, end in zip(*ends, strict=True)]
-        first[axes, i] = [time == min(times) for time in times]
-    return first

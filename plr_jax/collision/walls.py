@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import batches, parts, require_time, take_ragged
+from plr_jax._arrays import batches, parts, require_time, slices, take_ragged
 from plr_jax.collision.bodies import Column, MovingBodies, bisect, box_separation, convex_separation, moving_bodies
 from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace
@@ -70,8 +70,7 @@ class MotionTest:
         wall. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
         if len(q0) > _CHUNK:
-            chunks = zip(batches(q0, _CHUNK), batches(q1, _CHUNK), strict=True)
-            return np.concatenate([self(*ends, deadline) for ends in chunks])
+            return np.concatenate([self(q0[rows], q1[rows], deadline) for rows in slices(len(q0), _CHUNK)])
         # Clearances at the centers of grid cells decide most motions. The other motions are tested against walls.
         # 1. Cut each motion into equal pieces no longer than `_longest`. Bound the clearance from below on each piece
         #    and, in its middle (x, y), from above.

@@ -105,8 +105,7 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
             raise ValueError(f"The distance function of robot {i} returned NaN {at}.")
         return np.where(broken, np.inf, distances)
 
-    bounds = all(isinstance(fn, BoundingFn) and fn.is_lower_bound for fn in distance_fns)
-    return SumOverRobots(per_robot, is_lower_bound=bounds)
+    return SumOverRobots(per_robot, all(isinstance(fn, BoundingFn) and fn.is_lower_bound for fn in distance_fns))
 
 
 def require_heuristic(heuristic: object) -> None:

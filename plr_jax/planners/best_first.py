@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from tqdm import tqdm
 
-from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
+from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time, slices
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
@@ -89,8 +89,7 @@ def best_successors(joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"
         primitive = np.concatenate([primitive[rows, parent], last[..., None].astype(np.uint8)], axis=2)
     # 3. Sort them.
     order = np.argsort(score, axis=1, kind="stable")
-    step_score = np.take_along_axis(score, order, axis=1)
-    return Beam(step_score, primitive[rows, order], num_scored, num_valid, is_complete)
+    return Beam(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, is_complete)
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.inf) -> list[Table]:
@@ -99,15 +98,14 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.i
     ``TimeoutError`` after the ``deadline``, a time of ``time.perf_counter``.
     """
     size = max(len(lattice.q) for lattice in joint.lattices)
-    # Shorten the chunks of large teams: a call has fewer than `16 * _CHUNK` configurations of single robots.
-    chunk = max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
     values = np.empty(state.shape)
-    for begin in range(0, size, chunk):
+    # Shorten the chunks of large teams: a call has fewer than `16 * _CHUNK` configurations of single robots.
+    for rows in slices(size, max(1, _CHUNK // (1 + len(joint.lattices) // 16))):
         require_time(deadline, _PURPOSE)
-        q = joint.configurations(state[begin : begin + chunk])
-        values[begin : begin + chunk] = require_estimates(heuristic.per_robot(q), q.shape[:2])
+        q = joint.configurations(state[rows])
+        values[rows] = require_estimates(heuristic.per_robot(q), q.shape[:2])
     return [column[: len(lattice.q)] for column, lattice in zip(values.T, joint.lattices, strict=True)]
 
 
@@ -212,8 +210,7 @@ class BestFirstSearch:
                 by_width.setdefault(self.next_widths.get(node, _WIDTH), []).append(node)
         most = max(kind.cost.shape[1] for kind in self.joint.kinds)
         for width, of_width in by_width.items():
-            size = max(1, _PRODUCTS // (width * most))
-            for part in batches(of_width, size):
+            for part in batches(of_width, max(1, _PRODUCTS // (width * most))):
                 # 2. Reserve the memory of the widest beams so far, as later ones may be as wide.
                 num_bytes = (len(part) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.memory_use.add(max(0, num_bytes - self.max_product_bytes))

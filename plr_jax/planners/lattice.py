@@ -38,8 +38,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot
 
 # Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
-_NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
-PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
+PRIMITIVES = (*((dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy), (0, 0, 1), (0, 0, -1))
 # Cells and their representatives:
 _SAMPLES = 7  # samples per axis in a cell whose center is blocked; more find narrower gaps
 _WIDEST_TURN = np.pi / 4  # widest cell along the heading, in radians, so that even a small robot has 8 headings
@@ -55,6 +54,8 @@ Table: TypeAlias = Float[np.ndarray, " _"]  # a cost at each node of a robot's l
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: a node of each robot's lattice
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "*n primitives"], Bool[np.ndarray, "*n primitives"]]
 Ends: TypeAlias = Float[np.ndarray, "*#n #primitives dof"]  # ends of motions
+Members: TypeAlias = Int[np.ndarray, " robots"]  # indices in the team
+Collisions: TypeAlias = tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]
 
 
 class CellGrid(NamedTuple):
@@ -134,9 +135,7 @@ class CellGrid(NamedTuple):
         cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
 
-    def with_terminals(
-        self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
-    ) -> "Kind":
+    def with_terminals(self, robot: Robot, members: Members, starts: Configurations, goals: Configurations) -> "Kind":
         """Add the starts and goals of robots as nodes, and return the lattice of these robots.
 
         All these robots have the shape ``robot``. ``members`` are their indices in the team, in the order of the rows
@@ -244,9 +243,8 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
     grid = CellGrid(lo, tuple(shape.tolist()), side, offsets, test, weight, q, free, child, np.empty(child.shape))
     # 3. Choose the representatives, then test the motions between them; a chunk has all headings of its positions.
     num_headings = math.prod(grid.shape[2:])
-    size = max(1, _CHUNK // num_headings) * num_headings
     for choose_or_connect in (grid.choose_representatives, grid.connect):
-        for cells in batches(np.arange(len(q)), size):
+        for cells in batches(np.arange(len(q)), max(1, _CHUNK // num_headings) * num_headings):
             require_time(deadline, "the lattice was built")
             choose_or_connect(cells, deadline)
     return grid
@@ -287,7 +285,7 @@ class Kind:
     """
 
     robot: Robot
-    members: Int[np.ndarray, " robots"]  # indices in the team
+    members: Members
     q: Float[np.ndarray, "nodes dof"]
     child: Int[np.ndarray, "nodes primitives"]
     cost: Float[np.ndarray, "nodes primitives"]
@@ -340,11 +338,10 @@ class Kind:
         #     edge     dummy          dummy: room for a terminal edge
         #     dummy    dummy          dummy: room for a terminal edge
         #
-        order = np.argsort(self.end[: self.num_shared], kind="stable")
-        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges in this order
+        end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges sorted by their ends
         size = max(int(rank.max()) + 1, 1 + max(len(edges) for edges in self.terminal_edges))
         into = np.full((size, len(self.q)), self.num_edges)
-        into[rank, end] = order
+        into[rank, end] = np.argsort(self.end[: self.num_shared], kind="stable")
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
@@ -456,8 +453,8 @@ class JointLattice:
         """
         costs = {}
         for kind in self.kinds:
-            size = int(np.clip(_NODES // len(kind.q), 1, _GOALS))  # goals of one call of Dijkstra's algorithm
-            for rows in batches(np.arange(len(kind.members)), size):
+            # A batch has the goals of one call of Dijkstra's algorithm.
+            for rows in batches(np.arange(len(kind.members)), int(np.clip(_NODES // len(kind.q), 1, _GOALS))):
                 require_time(self.test.deadline, "the costs-to-go were known", _SECONDS * len(kind.q))
                 costs.update(zip(kind.members[rows].tolist(), kind.costs_to_go(rows), strict=True))
         return [costs[i] for i in range(len(self.lattices))]
@@ -480,9 +477,7 @@ class JointLattice:
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
 
-    def collisions(
-        self, i: int, j: int, state: State
-    ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
+    def collisions(self, i: int, j: int, state: State) -> Collisions:
         """Return the rows of ``state`` in which robots ``i`` and ``j`` are near, and their primitives that collide.
 
         A row of ``state`` has a node for each robot. Robots are near if one motion of each may bring their bodies

@@ -278,8 +278,7 @@ class _LifelongTeam:
         #    robot starves.
         is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there[:, ~is_there[0]].any(axis=1))
-        last = 0 if is_there[0].all() else len(self.path) - 1
-        arrival = int(arrivals[0]) if len(arrivals) else last
+        arrival = int(arrivals[0]) if len(arrivals) else 0 if is_there[0].all() else len(self.path) - 1
         # 2. Move the team to this row, or to the row in which waiting robots are replanned at the latest.
         row = arrival if self.plan else min(arrival, _WINDOW)
         self._done.append(self.path[1 : row + 1])
@@ -334,8 +333,7 @@ class _LifelongTeam:
         new = np.flatnonzero((goals != before).any(axis=1)).tolist()
         while new:
             i = new.pop()
-            offset = goals[:, :2] - goals[i, :2]
-            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < size + size[i])
+            near = np.flatnonzero(np.hypot(*(goals - goals[i])[:, :2].T) < size + size[i])
             q = goals[:, None]
             pairs = ((robots[i], q[i], q[i], robots[j], q[j], q[j]) for j in near.tolist() if j != i)
             if not all(motions_apart(*pair, tolerance).all() for pair in pairs):

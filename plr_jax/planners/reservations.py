@@ -113,9 +113,8 @@ class ReservationTable:
 
         The caller must have undone the robot's reservations. The result is also False if time or memory runs out.
         """
-        k, row = self.kind[i], self.joint.lattices[i].row
-        kind, blocked = self.kinds[k], self.blocked[k]
-        start, goal = kind.terminals.node[row].tolist()
+        lattice, blocked = self.joint.lattices[i], self.blocked[self.kind[i]]
+        kind, row, start, goal = lattice.kind, lattice.row, lattice.start, lattice.goal
         # 1. Leave out nodes through which every path costs more than `max_cost`, even without other robots.
         if i not in self._costs_to_come:
             self._costs_to_come[i] = kind.costs_to_come(row)

@@ -59,9 +59,8 @@ class CornerRoadmap:
         end = np.concatenate([ends[1:], self.q, self.q])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
         out, home = cost[1:].reshape(2, len(self.q))
-        to_go = (home + self.cost).min(axis=1, initial=np.inf)
         first, last = (ends @ _COMPLEX).tolist()
-        return Routes(self, first, last, float(cost[0]), out, home, to_go)
+        return Routes(self, first, last, float(cost[0]), out, home, (home + self.cost).min(axis=1, initial=np.inf))
 
     def between(self, u: int, v: int) -> Route:
         return [self.places[corner] for corner in path_from_root(self._previous[u], v)]
@@ -211,9 +210,8 @@ def with_early_departures(problem: Problem, path: JointPath) -> Float[np.ndarray
     reach = np.array(_touch_distances(problem))[first_of, second_of]
     # The waypoints of each robot so far, and the time at which it is at each of them.
     routes, times = [path[:1, i] for i in range(num)], [np.zeros(1)] * num
-    mover = (path[1:] != path[:-1]).any(axis=2).argmax(axis=1)  # the robot that moves after each row
     result, row = path[:1], 0
-    for i, motions in groupby(mover.tolist()):
+    for i, motions in groupby((path[1:] != path[:-1]).any(axis=2).argmax(axis=1).tolist()):  # by the moving robot
         # 1. Add the route of one robot, until another one moves.
         route = path[row : row + len(list(motions)) + 1, i]
         row += len(route) - 1

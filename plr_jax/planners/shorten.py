@@ -109,8 +109,7 @@ def _with_shortcuts(
         q0, q1 = (between(q[begin[edge]], q[end[edge]], (rank[now] + ahead)[:, None] / count) for ahead in (0, 1))
         near, j = trajectory.robots_near(i, circles(q0[:, None], q1[:, None]), row[now])
         meet = test.meet(i, q0[near], q1[near], trajectory, row[now[near]], j)
-        hit = now[near[meet]]  # pieces that hit a robot
-        is_apart[shortcut[hit]] = False
+        is_apart[shortcut[now[near[meet]]]] = False  # pieces now[near[meet]] hit a robot
         in_way[j[meet]] = True
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
     is_edge[shortcuts[is_apart]] = True

@@ -8,12 +8,12 @@ needs at that speed. In the other searches, all robots make one lattice motion i
 import heapq
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
 from plr_jax._problem import JointPath, Problem, row_times, straight_costs
-from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
+from plr_jax.collision.motions import Booleans, JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots import between
 
@@ -62,9 +62,7 @@ class Timetable:
         self.ends[i] = len(q) - 1
         self.ignored.discard(i)
 
-    def are_free(
-        self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
-    ) -> Bool[np.ndarray, " m"]:
+    def are_free(self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows) -> Booleans:
         """Return whether robot ``i`` meets no other robot on each straight motion from ``begin[k]`` to ``end[k]``.
 
         The motion begins in row ``row[k]`` of the timetable and takes ``count[k]`` time steps.
@@ -165,10 +163,9 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     nodes, rows, parents = [lattice.start], [0], [-1]
     open_states = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
     visited = {(lattice.start, 0)}  # nodes, and rows divided by _WAIT
-    best, arrived = np.inf, -1  # row of the earliest arrival so far, and its state
+    # Row of the earliest arrival so far, and its state.
+    best, arrived = (0, 0) if lattice.start == lattice.goal and free_from[0] == 0 else (np.inf, -1)
     num_expanded = 0
-    if lattice.start == lattice.goal and free_from[0] == 0:
-        best, arrived = 0, 0
     while open_states and open_states[0][0] < best and num_expanded < max_states:
         require_time(deadline, "a robot was planned")
         batch = [heapq.heappop(open_states)[2] for _ in range(min(len(open_states), _BATCH))]
@@ -198,8 +195,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     node, row = np.array(nodes), np.array(rows)
     if last < 0:
         is_narrow = problem.workspace.clearance(q[node, :2]) < _ROOM * robot.circumscribed_radius
-        order = np.lexsort((to_go[node], is_narrow))  # by `is_narrow`, then by `to_go`
-        for state in batches(order, _BATCH):
+        for state in batches(np.lexsort((to_go[node], is_narrow)), _BATCH):  # by `is_narrow`, then by `to_go`
             count = np.full(len(state), int(min(timetable.patience, len(timetable.path))))
             if (may_rest := timetable.are_free(i, q[node[state]], q[node[state]], row[state], count)).any():
                 last = int(state[may_rest.argmax()])
@@ -242,9 +238,8 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
             parts.append(between(parts[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
             if steps:
                 parts[-1][-1] = q[at]  # without rounding
-            now += steps
         else:
-            wait = min(_WAIT, int(row[at]) - now)
-            parts.append(np.repeat(q[[at]], wait, axis=0))
-            now += wait
+            steps = min(_WAIT, int(row[at]) - now)
+            parts.append(np.repeat(q[[at]], steps, axis=0))
+        now += steps
     return np.concatenate(parts)

@@ -50,14 +50,7 @@ class PlanarArm:
     width: float
     self_collision: bool
 
-    def __init__(
-        self,
-        workspace: Any,
-        lengths: ArrayLike,
-        base: ArrayLike,
-        width: float | int = 0,
-        self_collision: bool = False,
-    ):
+    def __init__(self, workspace: Any, lengths: Any, base: Any, width: float | int = 0, self_collision: bool = False):
         require_workspace(workspace)
         lengths, base = as_finite_point("lengths", lengths), as_finite_point("base", base, 2)
         if (lengths <= 0).any():

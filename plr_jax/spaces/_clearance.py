@@ -61,9 +61,7 @@ class ClearanceSpace:
     lipschitz: Float[np.ndarray, " dof"]
     motion_cost: MotionCost
 
-    def __init__(
-        self, domain: Any, clearance: ClearanceFn, lipschitz: ArrayLike, motion_cost: MotionCost | None = None
-    ):
+    def __init__(self, domain: Any, clearance: ClearanceFn, lipschitz: Any, motion_cost: MotionCost | None = None):
         domain = Box.of(domain, "domain")
         if not callable(clearance):
             raise ValueError(f"clearance must be a function of configurations (n, dof), got {shortened(clearance)}.")

@@ -146,9 +146,8 @@ class RigidBodySpace(BodySpace):
         #    covers it.
         for point, radius in zip(*self._probes, strict=True):
             pending = np.flatnonzero(~is_blocked)
-            position = _placed(point[None], center[pending])[:, 0]
             spare = radius - _motion_bounds(half[pending], np.hypot(*point)) - 2 * self.workspace.tolerance
-            is_blocked[pending] = walls_within(self.workspace, position, spare)
+            is_blocked[pending] = walls_within(self.workspace, _placed(point[None], center[pending])[:, 0], spare)
         return is_blocked
 
     @cached_property
@@ -160,8 +159,8 @@ class RigidBodySpace(BodySpace):
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
-        radius = shapely.maximum_inscribed_circle(shapely.Polygon(core))  # a segment from the center to the circle
-        middle = shapely.get_coordinates(radius)[0]
+        # Shapely returns a segment from the center to the circle.
+        middle = shapely.get_coordinates(shapely.maximum_inscribed_circle(shapely.Polygon(core)))[0]
         return middle, max(0.0, side_offsets(core, middle[None]).min())
 
     @cached_property

@@ -99,8 +99,7 @@ class VoxelSpace:
         as_boxes(lo, hi, self.grid.dim)
         # 1. Find the range of voxels whose interior a box meets: above its lower corner, below its upper corner.
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
-        _, above = self.grid.numbers(lo)
-        below, _ = self.grid.numbers(hi)
+        above, below = self.grid.numbers(lo)[1], self.grid.numbers(hi)[0]
         first, last = np.minimum(above, below), np.maximum(above, below)  # swapped for a box without extent on a face
         num, num_blocked = np.prod(last - first + 1, axis=0), self.grid.num_blocked(first, last)
         state = np.full(len(num), CellState.MIXED, np.int8)
