@@ -203,11 +203,10 @@ class PLR(FileBacked):
             if np.ndim(self.file) == 1 and not isinstance(self.file, Tracer):
                 self.require_arrays_of_file()
             return self.band
-        raise ValueError(
-            "Nothing is proven of this PLR: construct it with certified=True, call certify(plr, oracle), or call "
-            "solve_eikonal with a space that classifies boxes and without certified=False. For cost_distance with "
-            "bounds=True, result.lower and result.upper are proven instead."
-        )
+        eikonal = "solve_eikonal with a space that classifies boxes and without certified=False"
+        advice = f"construct it with certified=True, call certify(plr, oracle), or call {eikonal}"
+        costs = "For cost_distance with bounds=True, result.lower and result.upper are proven instead."
+        raise ValueError(f"Nothing is proven of this PLR: {advice}. {costs}")
 
     @property
     def max_error(self) -> float | None:

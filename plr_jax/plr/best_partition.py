@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import index_of
+from plr_jax._arrays import index_of, slices
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import leaf_order
@@ -167,8 +167,7 @@ def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves
     # next.
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
     parent, axis, is_upper = parent[order], axis[order], is_upper[order]
-    for begin in range(0, len(parent), BOXES_PER_BATCH):
-        batch = slice(begin, begin + BOXES_PER_BATCH)
+    for batch in slices(len(parent), BOXES_PER_BATCH):
         known_keys = levels[depth + 1].key if depth + 1 < len(levels) else np.zeros(0, np.uint64)
         boxes, key, of_half = level.boxes.new_halves(parent[batch], axis[batch], is_upper[batch], known_keys)
         if not len(known_keys):
@@ -319,8 +318,7 @@ class PriceSearch:
             sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
-            middle = self._tree(price, weight)
-            if self._fill(middle) <= 1:
+            if self._fill(middle := self._tree(price, weight)) <= 1:
                 fits = largest = middle
             else:
                 beyond = middle

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
+from plr_jax._arrays import as_distances, as_numbers, as_values, batches, row_products
 from plr_jax._types import BoxTest, DistanceFn, Distances, Points, Reach, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
@@ -143,8 +143,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
         Values at cell centers ``(cells,)``, and half of the rise across each cell along each axis ``(cells, dim)``.
     """
     plane = row_products(value, pattern.pseudo_inverse.T)
-    masked = np.flatnonzero((weight != 1).any(axis=1))
-    if len(masked):
+    if len(masked := np.flatnonzero((weight != 1).any(axis=1))):
         design, weight = pattern.design, weight[masked] * pattern.weight
         plane[masked] = solve_planes(design, weight, row_products(weight * value[masked], design))
     return plane[:, 0], plane[:, 1:]
@@ -216,11 +215,6 @@ class CellFit(Rows):
     def is_hardly_seen(self) -> Bool[np.ndarray, " cells"]:
         """Whether so few samples of a cell reach the goal that a plane may fit them all and be wrong elsewhere."""
         return self.reachable.sum(axis=1) <= few_samples(self.cells.dim)
-
-    @property
-    def can_split(self) -> Bool[np.ndarray, " cells"]:
-        """Whether each cell may still be halved along some axis."""
-        return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
     def noise(self) -> Float[np.ndarray, " cells"]:
@@ -298,11 +292,9 @@ class Sampler:
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces or fit.urgent_axis[0] >= 0):
-            raise ValueError(
-                "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all "
-                "samples. Check that the goal is free and that the domain contains its surroundings. If free space "
-                "is tiny, raise num_samples."
-            )
+            got = "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all"
+            advice = "Check that the goal is free and that the domain contains its surroundings"
+            raise ValueError(f"{got} samples. {advice}. If free space is tiny, raise num_samples.")
         return fit
 
     def first_cells(self, most: int) -> CellFit:
@@ -401,8 +393,8 @@ class ParallelOracle:
     executor: Executor
 
     def __call__(self, x: Points) -> Distances:
-        parts = [x[begin : begin + _POINTS_OF_TASK] for begin in range(0, len(x), _POINTS_OF_TASK)]
-        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in enumerate(parts)}
+        parts = enumerate(batches(x, _POINTS_OF_TASK))
+        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in parts}
         answers: dict[int, Distances] = {}
         run_tasks(self.executor, tasks, answers)
         # If workers died, this process computes the missing answers.
@@ -449,10 +441,9 @@ def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) ->
 
 def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "..."], cells: Cells) -> None:
     if np.shape(center) != (len(cells),) or np.shape(half) != (len(cells), cells.dim):
-        raise ValueError(
-            f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), the center "
-            f"value and half of the rise along each axis of each cell, got {np.shape(center)} and {np.shape(half)}."
-        )
+        expected = f"shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), the center value and half of the rise"
+        got = f"got {np.shape(center)} and {np.shape(half)}"
+        raise ValueError(f"compute_coefficients must return {expected} along each axis of each cell, {got}.")
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
 

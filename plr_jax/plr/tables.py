@@ -401,17 +401,10 @@ def build_tables(
     #    stand above the bits of all later axes: shift them right by FRACTION_BITS - (bits of this and later axes).
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     right = FRACTION_BITS - np.cumsum(top[::-1])[::-1]
-    return Tables(
-        frame=jax.device_put(frame_of(domain)),
-        bits=jax.device_put(np.stack([mask, right]).astype(np.uint32)),
-        blocks=blocks,
-        pages=pages,
-        leaf_of_slot=jax.device_put(padded(leaf_of_slot, slots)),
-        leaf_parameters=jax.device_put(arranged),
-        leaf=leaf,
-        periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
-        unresolved=unresolved_types(domain),
-    )
+    periodic = tuple(np.flatnonzero(domain.periodic).tolist())
+    numbers = frame_of(domain), np.stack([mask, right]).astype(np.uint32), padded(leaf_of_slot, slots), arranged
+    frame, masks, *of_leaves = jax.device_put(numbers)
+    return Tables(frame, masks, blocks, pages, *of_leaves, leaf, periodic, unresolved=unresolved_types(domain))
 
 
 def arrange_parameters(parameters: Float[np.ndarray, "rows count"]) -> Float[np.ndarray, "..."]:

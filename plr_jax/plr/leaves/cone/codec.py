@@ -159,8 +159,9 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:
     # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples. A coordinate
     # of these counts _FINE_BITS bits, any other coordinate log2(n).
-    fractions = _LATTICES[2.0**-exponent > _LATTICES]  # lattices with larger steps than those of fine sources
-    if not len(fractions):  # in a very wide domain, integers are too fine
+    if not len(
+        fractions := _LATTICES[2.0**-exponent > _LATTICES]
+    ):  # in a very wide domain, integers are too fine  # lattices with larger steps than those of fine sources
         return 1, np.ones(len(is_off), bool)
     num_off = np.count_nonzero(is_off[:, : len(fractions)], axis=0)
     best = int(np.argmin(num_off * _FINE_BITS + (len(is_off) - num_off) * np.log2(fractions)))
@@ -226,16 +227,13 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     """Decode the sources of cones, and the source of each leaf; ``ValueError`` if they are invalid."""
     # 1. Coordinates: fine sources, then sources on the lattice.
     exponent, fraction, parts = 0, 1, []
-    num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
-    if num_fine:
+    if num_fine := int(body.read_fixed_width(1, _COUNT_BITS)[0]):
         exponent = int(body.read_fixed_width(1, _STEP_BITS)[0]) - _EXPONENT_BIAS
         if abs(exponent) > _LARGEST_EXPONENT:
             raise ValueError(f"it states coordinates in steps of 2**{exponent}")
         parts.append(_read_codes(body, num_fine, _origin_in_steps(domain.lo * 2.0**-exponent)))
-    num_others = int(body.read_fixed_width(1, _COUNT_BITS)[0])
-    if num_others:
-        fraction = int(body.read_fixed_width(1, _STEP_BITS)[0])
-        if not fraction:
+    if num_others := int(body.read_fixed_width(1, _COUNT_BITS)[0]):
+        if not (fraction := int(body.read_fixed_width(1, _STEP_BITS)[0])):
             raise ValueError("it states coordinates in steps of 1 / 0")
         parts.append(_read_codes(body, num_others, _origin_in_steps(domain.lo * fraction)))
     if not parts:
@@ -269,8 +267,7 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) ->
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
-        width = int(body.read_fixed_width(1, _WIDTH_BITS)[0])
-        if width > _MOST_COORDINATE_BITS:
+        if (width := int(body.read_fixed_width(1, _WIDTH_BITS)[0])) > _MOST_COORDINATE_BITS:
             raise ValueError(f"it states coordinates of {width} bits")
         columns.append(body.read_fixed_width(count, width))
     return np.column_stack(columns) + lowest + origin
