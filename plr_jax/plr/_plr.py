@@ -451,7 +451,7 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
     tables = build_tables(domain, contents.tree.leaves, numbers, leaf, num_bytes)
     if contents.straight is not None:
         tables = replace(tables, straight=jax.device_put(contents.straight.arrays))
-    return tables.with_folding(contents.folding, origin)
+    return tables if contents.folding is None else tables.with_folding(contents.folding, origin)
 
 
 @pytree

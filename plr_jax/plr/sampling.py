@@ -5,7 +5,6 @@ from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,7 +17,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
-from plr_jax.plr.tree import Cells, Rows
+from plr_jax.plr.tree import Cells, Rows, corner_bits
 
 # The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
 # walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
@@ -93,7 +92,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     extends beyond the cell by ``margin`` times its width on every side.
     """
     rng = np.random.default_rng(seed)
-    corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
+    corners = 2.0 * corner_bits(dim) - 1 if 4 * 2**dim <= num_samples else np.zeros((0, dim))
     per_face = num_samples // (6 * dim)
     sides = [(axis, side) for axis in range(dim) for side in (-1.0, 1.0)]
     faces = [np.insert(2 * lattice(per_face, rng.random(dim - 1)) - 1, *side, axis=1) for side in sides]
@@ -267,9 +266,8 @@ class Sampler:
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
         # The axis along which to halve cells at the border of what reaches the goal, and coarse cells in which few
         # samples reach it; -1 for other cells.
-        axis, reach = np.full(len(cells), -1), self.reach
-        if reach is not None:
-            axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
+        reach = self.reach
+        axis = np.full(len(cells), -1) if reach is None else urgent_axes(cells, reach.is_border, self.max_axis_depth)
         if self.is_sparse:
             # Without a reach, a sample must show that the cell holds points that reach the goal.
             is_few = (num_reachable <= few_samples(cells.dim)) & ((num_reachable > 0) | (reach is not None))

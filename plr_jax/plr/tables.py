@@ -347,14 +347,12 @@ class Tables:
     def dim(self) -> int:
         return self.frame.shape[1]
 
-    def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
+    def with_folding(self, folding: Folding, origin: Float[np.ndarray, "dim"]) -> "Tables":
         """Return tables whose queries first mirror points into the *folded* domain.
 
         The folded domain is the part of the domain that the leaves cover. The points of queries are relative to
-        ``origin``. If ``folding`` is None, return these tables unchanged.
+        ``origin``.
         """
-        if folding is None:
-            return self
         domain = folding.domain.moved(-origin)
         *arrays, mirrors = folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())

@@ -268,8 +268,8 @@ class _Rounds:
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
-        may_split = (fit.cells.depth < fit.max_axis_depth).any(axis=1)  # along some axis
-        is_worth_it = (error > np.maximum(limits.tolerance, fit.noise)) & may_split
+        can_split = (fit.cells.depth < fit.max_axis_depth).any(axis=1)  # along some axis
+        is_worth_it = (error > np.maximum(limits.tolerance, fit.noise)) & can_split
         priority = np.where(is_worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(is_worth_it)]
         # 4. Choose axes of the first leaves; if depth limits exclude some of them, of the leaves that follow.

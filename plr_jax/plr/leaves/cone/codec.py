@@ -159,9 +159,8 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:
     # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples. A coordinate
     # of these counts _FINE_BITS bits, any other coordinate log2(n).
-    if not len(
-        fractions := _LATTICES[2.0**-exponent > _LATTICES]
-    ):  # in a very wide domain, integers are too fine  # lattices with larger steps than those of fine sources
+    fractions = _LATTICES[2.0**-exponent > _LATTICES]  # lattices with larger steps than those of fine sources
+    if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
     num_off = np.count_nonzero(is_off[:, : len(fractions)], axis=0)
     best = int(np.argmin(num_off * _FINE_BITS + (len(is_off) - num_off) * np.log2(fractions)))
