@@ -269,7 +269,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
         numbers = np.array(integers, np.float64) / float(10**decimals)
     corners = numbers.reshape(2, dim)
     periodic = corners[0] > corners[1]
-    return Box(*np.where(periodic, corners[::-1], corners), tuple(map(bool, periodic)))
+    return Box(*np.where(periodic, corners[::-1], corners), periodic=tuple(map(bool, periodic)))
 
 
 def _decimals(numbers: list[float]) -> bytes | None:

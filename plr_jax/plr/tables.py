@@ -401,8 +401,8 @@ def build_tables(
     right = FRACTION_BITS - np.cumsum(top[::-1])[::-1]
     periodic = tuple(np.flatnonzero(domain.periodic).tolist())
     numbers = frame_of(domain), np.stack([mask, right]).astype(np.uint32), padded(leaf_of_slot, slots), arranged
-    frame, masks, *of_leaves = jax.device_put(numbers)
-    return Tables(frame, masks, blocks, pages, *of_leaves, leaf, periodic, unresolved=unresolved_types(domain))
+    frame, masks, entries, arranged = jax.device_put(numbers)
+    return Tables(frame, masks, blocks, pages, entries, arranged, leaf, periodic, unresolved=unresolved_types(domain))
 
 
 def arrange_parameters(parameters: Float[np.ndarray, "rows count"]) -> Float[np.ndarray, "..."]:
