@@ -446,9 +446,9 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], Cell
     """
     advice = "Build the PLR without a proof and measure its error"
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
+        needed = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
         raise ValueError(
-            "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "
-            f"got a {type(oracle).__name__} in {domain.dim} dimensions. {advice}."
+            f"A proof needs {needed}, got a {type(oracle).__name__} in {domain.dim} dimensions. {advice}."
         )
     if domain.is_periodic:
         raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {advice}.")

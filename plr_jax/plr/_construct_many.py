@@ -105,9 +105,8 @@ def construct_many(
     for key, numbers in families.items():
         first = oracles[numbers[0]]
         task = family_task(first, domain, limits) if key >= 0 and isinstance(first, FamilyFn) else None
-        work = partial(_files, alone, task)
         for part in np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1))):
-            tasks[tuple(part.tolist())] = partial(work, [oracles[i] for i in part])
+            tasks[tuple(part.tolist())] = partial(_files, alone, task, [oracles[i] for i in part])
     total = len(oracles)
     with tqdm(desc="construct_many", unit=" PLRs", total=total, delay=2, leave=False, disable=None) as progress:
         files, is_interrupted = build_files(tasks, executor, progress)

@@ -167,21 +167,18 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
     # 1. Concatenate the functions of all leaves. A leaf without a function may have no point that reaches the goal.
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
-        raise ValueError(
-            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} "
-            f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move "
-            "the origin, divide the domain, or build the PLR without a proof."
-        )
+        expected = f"free space known to {_COARSEST:g} of the domain's shorter side"
+        cause = "The domain is too far from the origin, too narrow, or small beside its workspace"
+        advice = "move the origin, divide the domain, or build the PLR without a proof"
+        raise ValueError(f"A proof needs {expected}, got {visible.slack:.2g} in {domain}. {cause}: {advice}.")
     lo, hi = map(np.concatenate, zip(*(file.tree.leaves.boxes(domain) for file in contents), strict=True))
     coefficients = np.concatenate([filled_coefficients(file) for file in contents])
     seen = np.unique(visible.cell)
-    blind = seen[np.isinf(coefficients[seen, 0])]
-    if len(blind):
-        raise ValueError(
-            "A proof needs a finite function in every leaf with points that reach the goal, got inf in the leaf from "
-            f"{lo[blind[0]].tolist()} to {hi[blind[0]].tolist()}, where no sample met such a point. Build the PLR "
-            "with certified=True."
-        )
+    if len(blind := seen[np.isinf(coefficients[seen, 0])]):
+        lower, upper = (corner[blind[0]].tolist() for corner in (lo, hi))
+        expected = "a finite function in every leaf with points that reach the goal"
+        got = f"inf in the leaf from {lower} to {upper}, where no sample met such a point"
+        raise ValueError(f"A proof needs {expected}, got {got}. Build the PLR with certified=True.")
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     # 2. For each PLR, find out which bounds suffice for its file.
     ends = np.cumsum([0, *(len(file.tree.leaves) for file in contents)]).tolist()

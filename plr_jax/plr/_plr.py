@@ -203,11 +203,10 @@ class PLR(FileBacked):
             if np.ndim(self.file) == 1 and not isinstance(self.file, Tracer):
                 self.require_arrays_of_file()
             return self.band
-        raise ValueError(
-            "Nothing is proven of this PLR: construct it with certified=True, call certify(plr, oracle), or call "
-            "solve_eikonal with a space that classifies boxes and without certified=False. For cost_distance with "
-            "bounds=True, result.lower and result.upper are proven instead."
-        )
+        eikonal = "solve_eikonal with a space that classifies boxes and without certified=False"
+        advice = f"construct it with certified=True, call certify(plr, oracle), or call {eikonal}"
+        costs = "For cost_distance with bounds=True, result.lower and result.upper are proven instead."
+        raise ValueError(f"Nothing is proven of this PLR: {advice}. {costs}")
 
     @property
     def max_error(self) -> float | None:
@@ -452,7 +451,7 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
     tables = build_tables(domain, contents.tree.leaves, numbers, leaf, num_bytes)
     if contents.straight is not None:
         tables = replace(tables, straight=jax.device_put(contents.straight.arrays))
-    return tables.with_folding(contents.folding, origin)
+    return tables if contents.folding is None else tables.with_folding(contents.folding, origin)
 
 
 @pytree

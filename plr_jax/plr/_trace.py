@@ -100,9 +100,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     return trace_by_sources(plr, starts, workspace)[0]
 
 
-def trace_by_sources(
-    plr: PLR, starts: ArrayLike, workspace: "Workspace | None"
-) -> tuple[Traces, Int[np.ndarray, " n"]]:
+def trace_by_sources(plr: PLR, starts: ArrayLike, workspace: "Workspace | None") -> tuple[Traces, Indices]:
     """Trace paths as :func:`trace`; also return the index of the first source on each path, -1 without a path."""
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
@@ -146,14 +144,12 @@ def trace_by_sources(
     paths = paths[:, : max(1, counts.max(initial=1))]
 
     # 3. Find how each path ends. Roots with numbers are goals, or places from which paths jump to other sources.
-    ends_at_goal = sources.is_goal(chain[:, -1], rounding)[row]
-    status = np.where(ends_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    status = np.where(sources.is_goal(chain[:, -1], rounding)[row], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     status[~is_free] = TraceStatus.CROSSES_WALL
 
     # 4. Add rows for starts without a path.
     columns = []
-    fills = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE), (first, -1)
-    for rows, fill in fills:
+    for rows, fill in (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE), (first, -1):
         columns.append(np.full((len(starts), *rows.shape[1:]), fill, rows.dtype))
         columns[-1][has_path] = rows
     *of_traces, first = columns
@@ -202,8 +198,7 @@ class _SourceSight:
         # 1. Test the given sources.
         is_free = self._is_clear[first] & self._sees(first, x)
         first = first.copy()
-        failing = np.flatnonzero(~(is_free & self._arrives[first]))
-        if not len(failing):
+        if not len(failing := np.flatnonzero(~(is_free & self._arrives[first]))):
             return first, is_free
         # 2. Find the nearest visible source with a path to the goal. A segment of length zero is free if its point
         #    is: starts in obstacles see no source.

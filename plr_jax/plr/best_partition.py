@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
-from plr_jax._arrays import index_of
+from plr_jax._arrays import index_of, slices
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import leaf_order
@@ -167,8 +167,7 @@ def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves
     # next.
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
     parent, axis, is_upper = parent[order], axis[order], is_upper[order]
-    for begin in range(0, len(parent), BOXES_PER_BATCH):
-        batch = slice(begin, begin + BOXES_PER_BATCH)
+    for batch in slices(len(parent), BOXES_PER_BATCH):
         known_keys = levels[depth + 1].key if depth + 1 < len(levels) else np.zeros(0, np.uint64)
         boxes, key, of_half = level.boxes.new_halves(parent[batch], axis[batch], is_upper[batch], known_keys)
         if not len(known_keys):
@@ -214,6 +213,9 @@ class PricedTree:
         return len(self.order)
 
 
+SizeFn: TypeAlias = Callable[[list[BoxLevel], PricedTree], int]
+
+
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
     """Return the weight of a leaf's largest error in the leaf's cost; the integral of the error has the weight 1.
 
@@ -230,9 +232,7 @@ class PriceSearch:
     ``num_sources``, the number of possible apexes of cones, only affects the first price.
     """
 
-    def __init__(
-        self, root: Any, limits: Limits, size: Callable[[list[BoxLevel], PricedTree], int], num_sources: int = 0
-    ) -> None:
+    def __init__(self, root: Any, limits: Limits, size: SizeFn, num_sources: int = 0) -> None:
         self._limits, self._size, self._num_sources = limits, size, num_sources
         self.levels = [BoxLevel.of(root, root.cells.hashes())]
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
@@ -319,8 +319,7 @@ class PriceSearch:
             sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
-            middle = self._tree(price, weight)
-            if self._fill(middle) <= 1:
+            if self._fill(middle := self._tree(price, weight)) <= 1:
                 fits = largest = middle
             else:
                 beyond = middle

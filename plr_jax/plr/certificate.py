@@ -47,8 +47,7 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
     lower = np.minimum.reduceat(lowest, first_pair)
     upper = np.minimum.reduceat(np.where(visible.by_all[pairs], highest, np.inf), first_pair)
     # 3. Without such a source, the piece's center takes the place of a source.
-    unseen = np.flatnonzero(np.isinf(upper))
-    if len(unseen):
+    if len(unseen := np.flatnonzero(np.isinf(upper))):
         rows = piece[unseen]
         _, upper[unseen] = cones_above(visible.pieces[:, rows], visible.center[rows], visible.distance[rows], unseen)
     return lower, upper
@@ -153,8 +152,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             np.maximum.at(most, leaf[is_single], above[is_single])
             is_clear &= ~is_single
         # 3. Errors at corners of the other clear pieces are attained: `x` has one corner of each.
-        rows = np.flatnonzero(is_clear)
-        if len(rows):
+        if len(rows := np.flatnonzero(is_clear)):
             pairs, piece = take_ragged(visible.first_pair, rows)
             source = visible.source[pairs]
             first_pair = np.cumsum(num_sources[rows]) - num_sources[rows]

@@ -149,8 +149,7 @@ class BitReader:
         return self._take(num_values * width).reshape(num_values, width) @ (np.int64(1) << np.arange(width))
 
     def read_unary(self, num_values: int) -> Int[np.ndarray, " n"]:
-        ends = np.flatnonzero(self._bits[self._at :])[:num_values]  # the ones
-        if len(ends) < num_values:
+        if len(ends := np.flatnonzero(self._bits[self._at :])[:num_values]) < num_values:  # the ones
             raise ValueError("the data end too early")
         self._at += int(ends[-1]) + 1 if num_values else 0
         return np.diff(ends, prepend=-1) - 1
@@ -159,8 +158,7 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_doubles(self, num_values: int) -> Float[np.ndarray, " n"]:
-        words = self.read_fixed_width(2 * num_values, 32).astype("<u4")
-        return words.view("<f8").astype(np.float64)
+        return self.read_fixed_width(2 * num_values, 32).astype("<u4").view("<f8").astype(np.float64)
 
     def read_set(self, universe: int) -> Bool[np.ndarray, " n"]:
         """Read a subset of ``range(universe)``, and return whether each number is a member."""
@@ -173,8 +171,7 @@ class BitReader:
 
         Memory does not depend on ``universe``.
         """
-        num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
-        if num_members > universe:
+        if (num_members := int(self.read_fixed_width(1, _COUNT_BITS)[0])) > universe:
             raise ValueError(f"it names {num_members} members of {universe}")
         gaps = self.read_coded(num_members)
         members = np.cumsum(gaps + 1) - 1
@@ -201,8 +198,7 @@ class BitReader:
         return np.where(code % 2, (code + 1) // 2, -(code // 2))
 
     def _take(self, num_bits: int) -> Int[np.ndarray, " bits"]:
-        bits = self._bits[self._at : self._at + num_bits]
-        if len(bits) < num_bits:
+        if len(bits := self._bits[self._at : self._at + num_bits]) < num_bits:
             raise ValueError("the data end too early")
         self._at += num_bits
         return bits.astype(np.int64)

@@ -247,8 +247,7 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
     """Encode a domain as in ``portable/FORMAT.md``; also return whether its coordinates are stored as floats."""
-    first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
-    numbers = np.concatenate([first, second])
+    numbers = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi)).ravel()
     floats = numbers.astype("<f8").tobytes()
     decimals = _decimals(numbers.tolist())
     return (floats, True) if decimals is None or len(decimals) > len(floats) else (decimals, False)
@@ -270,8 +269,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
         numbers = np.array(integers, np.float64) / float(10**decimals)
     corners = numbers.reshape(2, dim)
     periodic = corners[0] > corners[1]
-    lo, hi = np.where(periodic, corners[::-1], corners)
-    return Box(lo, hi, tuple(map(bool, periodic)))
+    return Box(*np.where(periodic, corners[::-1], corners), periodic=tuple(map(bool, periodic)))
 
 
 def _decimals(numbers: list[float]) -> bytes | None:

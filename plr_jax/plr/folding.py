@@ -193,8 +193,7 @@ def _assign_pivots(
     rows = mirrors.copy()
     rank = 0  # rows above it have pivots
     for axis in np.flatnonzero(may_pivot):
-        below = np.flatnonzero(rows[rank:, axis])
-        if not len(below):
+        if not len(below := np.flatnonzero(rows[rank:, axis])):
             continue
         rows[[rank, rank + below[0]]] = rows[[rank + below[0], rank]]  # swap
         others = rows[:, axis].copy()

@@ -73,10 +73,9 @@ def unresolved_types(domain: Box) -> tuple[str, ...]:
 def require_resolved(dtype: np.dtype, unresolved: tuple[str, ...]) -> None:
     if str(dtype) in unresolved:
         also = " or enable jax_enable_x64," if unresolved == ("float32",) else ""
-        raise ValueError(
-            f"Points must resolve the domain, but {dtype} points, or 32-bit tables, are too coarse this far out. "
-            f"Pass NumPy float64 points outside of jit,{also} or build the PLR in coordinates with an origin nearby."
-        )
+        got = f"{dtype} points, or 32-bit tables, are too coarse this far out"
+        advice = f"Pass NumPy float64 points outside of jit,{also} or build the PLR in coordinates with an origin"
+        raise ValueError(f"Points must resolve the domain, but {got}. {advice} nearby.")
 
 
 def _largest_coordinates(domain: Box) -> Corner:
@@ -92,11 +91,10 @@ def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"
 
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
     """Return the array ``(7, dim)`` that describes a domain to a query; :class:`Frame` explains its rows."""
-    lo, hi = table_corners(domain)
     frame = np.empty((len(Frame), domain.dim), np.float32)
-    frame[Frame.LO], frame[Frame.HI] = lo, hi
+    frame[Frame.LO], frame[Frame.HI] = table_corners(domain)
     frame[Frame.LO_REST], frame[Frame.HI_REST] = domain.single_rests
-    frame[Frame.START] = 1 - (domain.lo - lo) / domain.width
+    frame[Frame.START] = 1 - (domain.lo - frame[Frame.LO]) / domain.width
     frame[Frame.SCALE] = 1 / domain.width
     # The largest float below 2 is 2 - 2**-23. TOP is rounded down.
     top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)

@@ -74,10 +74,9 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
-        raise ValueError(
-            f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a tolerance."
-        )
+        need = f"{num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB"
+        advice = "Reduce max_depth, max_leaves or max_bytes, or set a tolerance"
+        raise ValueError(f"The limits allow {need}; this machine has {memory / 2**30:.3g}. {advice}.")
 
 
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
@@ -291,8 +290,7 @@ def fit_nodes(sampler: Sampler, nodes_of: NodesOf, cells: Cells, parent_key: Flo
         fit = sampler(cells[begin : begin + at_once])
         # Two patterns cannot share a CellFit: make the nodes of each, then restore the order of the cells.
         for is_dense in (False, True):
-            rows = np.flatnonzero(fit.is_hardly_seen == is_dense)
-            if len(rows):
+            if len(rows := np.flatnonzero(fit.is_hardly_seen == is_dense)):
                 of_rows = sampler.sample_densely(fit.cells[rows]) if is_dense else fit[rows]
                 nodes.append(nodes_of(of_rows, parent_key[begin + rows]))
                 order.append(begin + rows)

@@ -155,10 +155,9 @@ def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
 
 def check_num_weights(number: int | float, most: int) -> None:
     if number > most:
-        raise ValueError(
-            f"the constraints of its tied leaves may have at most {most} weights, got {number:.3g} or more. Build it "
-            "with fewer leaves, in fewer dimensions, or with planes, which are not tied"
-        )
+        expected = f"the constraints of its tied leaves may have at most {most} weights"
+        advice = "Build it with fewer leaves, in fewer dimensions, or with planes, which are not tied"
+        raise ValueError(f"{expected}, got {number:.3g} or more. {advice}")
 
 
 _TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells only touch; in finest cell widths

@@ -5,20 +5,19 @@ from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
+from plr_jax._arrays import as_distances, as_numbers, as_values, batches, row_products
 from plr_jax._types import BoxTest, DistanceFn, Distances, Points, Reach, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
-from plr_jax.plr.tree import Cells, Rows
+from plr_jax.plr.tree import Cells, Rows, corner_bits
 
 # The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
 # walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
@@ -93,7 +92,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     extends beyond the cell by ``margin`` times its width on every side.
     """
     rng = np.random.default_rng(seed)
-    corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
+    corners = 2.0 * corner_bits(dim) - 1 if 4 * 2**dim <= num_samples else np.zeros((0, dim))
     per_face = num_samples // (6 * dim)
     sides = [(axis, side) for axis in range(dim) for side in (-1.0, 1.0)]
     faces = [np.insert(2 * lattice(per_face, rng.random(dim - 1)) - 1, *side, axis=1) for side in sides]
@@ -143,8 +142,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
         Values at cell centers ``(cells,)``, and half of the rise across each cell along each axis ``(cells, dim)``.
     """
     plane = row_products(value, pattern.pseudo_inverse.T)
-    masked = np.flatnonzero((weight != 1).any(axis=1))
-    if len(masked):
+    if len(masked := np.flatnonzero((weight != 1).any(axis=1))):
         design, weight = pattern.design, weight[masked] * pattern.weight
         plane[masked] = solve_planes(design, weight, row_products(weight * value[masked], design))
     return plane[:, 0], plane[:, 1:]
@@ -218,11 +216,6 @@ class CellFit(Rows):
         return self.reachable.sum(axis=1) <= few_samples(self.cells.dim)
 
     @property
-    def can_split(self) -> Bool[np.ndarray, " cells"]:
-        """Whether each cell may still be halved along some axis."""
-        return np.any(self.cells.depth < self.max_axis_depth, axis=1)
-
-    @property
     def noise(self) -> Float[np.ndarray, " cells"]:
         """The weighted error of each cell that no split can reduce: the resolution of 32-bit floats."""
         return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
@@ -273,9 +266,8 @@ class Sampler:
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
         # The axis along which to halve cells at the border of what reaches the goal, and coarse cells in which few
         # samples reach it; -1 for other cells.
-        axis, reach = np.full(len(cells), -1), self.reach
-        if reach is not None:
-            axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
+        reach = self.reach
+        axis = np.full(len(cells), -1) if reach is None else urgent_axes(cells, reach.is_border, self.max_axis_depth)
         if self.is_sparse:
             # Without a reach, a sample must show that the cell holds points that reach the goal.
             is_few = (num_reachable <= few_samples(cells.dim)) & ((num_reachable > 0) | (reach is not None))
@@ -298,11 +290,9 @@ class Sampler:
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces or fit.urgent_axis[0] >= 0):
-            raise ValueError(
-                "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all "
-                "samples. Check that the goal is free and that the domain contains its surroundings. If free space "
-                "is tiny, raise num_samples."
-            )
+            got = "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all"
+            advice = "Check that the goal is free and that the domain contains its surroundings"
+            raise ValueError(f"{got} samples. {advice}. If free space is tiny, raise num_samples.")
         return fit
 
     def first_cells(self, most: int) -> CellFit:
@@ -401,8 +391,8 @@ class ParallelOracle:
     executor: Executor
 
     def __call__(self, x: Points) -> Distances:
-        parts = [x[begin : begin + _POINTS_OF_TASK] for begin in range(0, len(x), _POINTS_OF_TASK)]
-        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in enumerate(parts)}
+        parts = enumerate(batches(x, _POINTS_OF_TASK))
+        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in parts}
         answers: dict[int, Distances] = {}
         run_tasks(self.executor, tasks, answers)
         # If workers died, this process computes the missing answers.
@@ -449,10 +439,9 @@ def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) ->
 
 def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "..."], cells: Cells) -> None:
     if np.shape(center) != (len(cells),) or np.shape(half) != (len(cells), cells.dim):
-        raise ValueError(
-            f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), the center "
-            f"value and half of the rise along each axis of each cell, got {np.shape(center)} and {np.shape(half)}."
-        )
+        expected = f"shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), the center value and half of the rise"
+        got = f"got {np.shape(center)} and {np.shape(half)}"
+        raise ValueError(f"compute_coefficients must return {expected} along each axis of each cell, {got}.")
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
 

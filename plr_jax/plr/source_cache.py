@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import parts, take_ragged
+from plr_jax._arrays import batches, parts, take_ragged
 from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, Tree
@@ -29,13 +29,11 @@ class SourceCache:
 
     def sources(self, cells: Cells) -> CellSources:
         """Return the sources of cells, which are then cached, and so are cells that contain them."""
-        new = cells[np.flatnonzero(~self._knows(cells))]
-        if len(new):
+        if len(new := cells[np.flatnonzero(~self._knows(cells))]):
             # 1. Find the parent of which each new cell is a half: the cell that is twice as wide along the first axis
             #    if it is cached, else along the second axis. A parent that is not cached comes from its own parent.
             by_axis = [Cells(np.maximum(new.depth - step, 0), new.position >> step) for step in np.eye(2, dtype=int)]
-            along_first = (new.depth[:, 0] > 0) & self._knows(by_axis[0])
-            axis = np.where(along_first | (new.depth[:, 1] == 0), 0, 1)
+            axis = np.where((new.depth[:, 0] > 0) & self._knows(by_axis[0]) | (new.depth[:, 1] == 0), 0, 1)
             parents = by_axis[0].append(by_axis[1])[axis * len(new) + np.arange(len(new))]
             if len(unknown := np.flatnonzero(~self._knows(parents))):
                 self.sources(parents[unknown])
@@ -100,8 +98,7 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
     distance = np.full(len(points), np.inf)
     at_once = max(1, _POINTS_AT_ONCE // num_columns)
     containing = [np.zeros((2, 0), int)]
-    for begin in range(0, len(visible.cell), at_once):
-        piece = np.arange(begin, min(begin + at_once, len(visible.cell)))
+    for piece in batches(np.arange(len(visible.cell)), at_once):
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
         containing.append(np.stack([piece[row], num_columns * visible.cell[piece[row]] + column]))
     piece, point = np.concatenate(containing, axis=1)

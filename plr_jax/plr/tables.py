@@ -347,14 +347,12 @@ class Tables:
     def dim(self) -> int:
         return self.frame.shape[1]
 
-    def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
+    def with_folding(self, folding: Folding, origin: Float[np.ndarray, "dim"]) -> "Tables":
         """Return tables whose queries first mirror points into the *folded* domain.
 
         The folded domain is the part of the domain that the leaves cover. The points of queries are relative to
-        ``origin``. If ``folding`` is None, return these tables unchanged.
+        ``origin``.
         """
-        if folding is None:
-            return self
         domain = folding.domain.moved(-origin)
         *arrays, mirrors = folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())
@@ -401,17 +399,10 @@ def build_tables(
     #    stand above the bits of all later axes: shift them right by FRACTION_BITS - (bits of this and later axes).
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     right = FRACTION_BITS - np.cumsum(top[::-1])[::-1]
-    return Tables(
-        frame=jax.device_put(frame_of(domain)),
-        bits=jax.device_put(np.stack([mask, right]).astype(np.uint32)),
-        blocks=blocks,
-        pages=pages,
-        leaf_of_slot=jax.device_put(padded(leaf_of_slot, slots)),
-        leaf_parameters=jax.device_put(arranged),
-        leaf=leaf,
-        periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
-        unresolved=unresolved_types(domain),
-    )
+    periodic = tuple(np.flatnonzero(domain.periodic).tolist())
+    numbers = frame_of(domain), np.stack([mask, right]).astype(np.uint32), padded(leaf_of_slot, slots), arranged
+    frame, masks, entries, arranged = jax.device_put(numbers)
+    return Tables(frame, masks, blocks, pages, entries, arranged, leaf, periodic, unresolved=unresolved_types(domain))
 
 
 def arrange_parameters(parameters: Float[np.ndarray, "rows count"]) -> Float[np.ndarray, "..."]:

@@ -189,8 +189,7 @@ def _cells(field: GridDistance) -> Float[Array, "h w"]:
 
 def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "*batch 2"]]:
     """Convert points, given by name, to floats of at least 32 bits; warn once if some are integers."""
-    names = [name for name, x in points.items() if jnp.issubdtype(x.dtype, jnp.integer)]
-    if names:
+    if names := [name for name, x in points.items() if jnp.issubdtype(x.dtype, jnp.integer)]:
         advice = "add 0.5 to (column, row) for the center of a cell, or pass floats if you mean a corner"
         message = f"Integer points are corners of cells, got integers for {' and '.join(names)}: {advice}."
         warnings.warn(message, stacklevel=3)  # the line that calls grid_distance or the field

@@ -1,6 +1,6 @@
 """Distances among polygons that JAX may trace: the public function :func:`polygon_distance`."""
 
-from typing import overload
+from typing import TypeAlias, overload
 
 import jax
 import jax.numpy as jnp
@@ -67,13 +67,14 @@ class PolygonDistances:
         return f"PolygonDistances({self.paths.corners})"
 
 
+Field: TypeAlias = PolygonDistance | PolygonDistances
+
+
 @overload
 def polygon_distance(polygons: ArrayLike, goal: None, *, bounds: Bounds = None) -> PolygonDistances: ...
 @overload
 def polygon_distance(polygons: ArrayLike, goal: ArrayLike, *, bounds: Bounds = None) -> PolygonDistance: ...
-def polygon_distance(
-    polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bounds = None
-) -> PolygonDistance | PolygonDistances:
+def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bounds = None) -> Field:
     """Return a function that measures shortest paths among polygons whose vertices may be traced, as inside ``jit``.
 
         field = plr_jax.polygon_distance(polygons, goal)
@@ -146,9 +147,7 @@ def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -
 
 
 @jax.jit
-def _make(
-    polygons: Float[Array, "m k 2"], goals: Float[Array, "g 2"] | None, bounds: Float[Array, "2 2"]
-) -> PolygonDistance | PolygonDistances:
+def _make(polygons: Float[Array, "m k 2"], goals: Float[Array, "g 2"] | None, bounds: Float[Array, "2 2"]) -> Field:
     dtype = jnp.result_type(*(each.dtype for each in (polygons, goals, bounds) if each is not None))
     # 1. Mark padding by rows of NaN. A map without polygons gets one of padding alone.
     polygons = jnp.full((1, 1, 2), jnp.nan, dtype) if polygons.size == 0 else polygons.astype(dtype)
@@ -168,6 +167,6 @@ def _make(
 
 
 @jax.jit
-def _distance(field: PolygonDistance | PolygonDistances, *points: Array | np.ndarray) -> Float[Array, "*batch"]:
+def _distance(field: Field, *points: Array | np.ndarray) -> Float[Array, "*batch"]:
     moved = [x.astype(jnp.promote_types(x.dtype, field.origin.dtype)) for x in map(as_floats, points)]
     return distance(field, *(x - jnp.broadcast_to(field.origin.astype(x.dtype), x.shape) for x in moved))

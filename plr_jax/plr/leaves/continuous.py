@@ -106,8 +106,7 @@ class FaceTests:
         # Places are fractions of a face; face_points ignores the coordinate along the face's axis.
         places = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for tested_places in (places[:_FEW], places[_FEW:]):
-            unsure = np.flatnonzero((known < 0) & ~is_free)
-            if len(unsure):
+            if len(unsure := np.flatnonzero((known < 0) & ~is_free)):
                 tested = faces[unsure]
                 x = face_points(cells, tested, tested_places)  # (faces, points, dim)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]  # (faces, 1, dim)
@@ -269,7 +268,8 @@ class _Rounds:
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
-        is_worth_it = (error > np.maximum(limits.tolerance, fit.noise)) & fit.can_split
+        can_split = (fit.cells.depth < fit.max_axis_depth).any(axis=1)  # along some axis
+        is_worth_it = (error > np.maximum(limits.tolerance, fit.noise)) & can_split
         priority = np.where(is_worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(is_worth_it)]
         # 4. Choose axes of the first leaves; if depth limits exclude some of them, of the leaves that follow.

@@ -226,16 +226,13 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     """Decode the sources of cones, and the source of each leaf; ``ValueError`` if they are invalid."""
     # 1. Coordinates: fine sources, then sources on the lattice.
     exponent, fraction, parts = 0, 1, []
-    num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
-    if num_fine:
+    if num_fine := int(body.read_fixed_width(1, _COUNT_BITS)[0]):
         exponent = int(body.read_fixed_width(1, _STEP_BITS)[0]) - _EXPONENT_BIAS
         if abs(exponent) > _LARGEST_EXPONENT:
             raise ValueError(f"it states coordinates in steps of 2**{exponent}")
         parts.append(_read_codes(body, num_fine, _origin_in_steps(domain.lo * 2.0**-exponent)))
-    num_others = int(body.read_fixed_width(1, _COUNT_BITS)[0])
-    if num_others:
-        fraction = int(body.read_fixed_width(1, _STEP_BITS)[0])
-        if not fraction:
+    if num_others := int(body.read_fixed_width(1, _COUNT_BITS)[0]):
+        if not (fraction := int(body.read_fixed_width(1, _STEP_BITS)[0])):
             raise ValueError("it states coordinates in steps of 1 / 0")
         parts.append(_read_codes(body, num_others, _origin_in_steps(domain.lo * fraction)))
     if not parts:
@@ -269,8 +266,7 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) ->
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
-        width = int(body.read_fixed_width(1, _WIDTH_BITS)[0])
-        if width > _MOST_COORDINATE_BITS:
+        if (width := int(body.read_fixed_width(1, _WIDTH_BITS)[0])) > _MOST_COORDINATE_BITS:
             raise ValueError(f"it states coordinates of {width} bits")
         columns.append(body.read_fixed_width(count, width))
     return np.column_stack(columns) + lowest + origin

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import slices
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PEAK_WEIGHT
@@ -128,8 +129,7 @@ class Lattice:
         """
         shape_of_box = np.searchsorted(list(self.first.values()), box, side="right") - 1
         for index, shape in enumerate(self.first):
-            row = np.flatnonzero(shape_of_box == index)
-            if len(row):
+            if len(row := np.flatnonzero(shape_of_box == index)):
                 first_sample = self.samples[shape][0][box[row] - self.first[shape]]
                 rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
                 yield shape, row, first_sample, ((rows[:, None] << self.halvings) + columns).ravel()
@@ -195,8 +195,7 @@ def option_errors(
     # With the sample x and the source s:  above = distance(x) - (distance(s) + |x - s|),    error = |above|.
     result = np.zeros((3, len(start)))
     at_once = max(1, _AT_ONCE // len(offset))
-    for begin in range(0, len(start), at_once):
-        batch = slice(begin, begin + at_once)
+    for batch in slices(len(start), at_once):
         x, y, distance, weight = np.moveaxis(goal.table[start[batch, None] + offset], 2, 0)
         apex = goal.sources.points[source[batch]]
         dx, dy = x - apex[:, :1], y - apex[:, 1:]
@@ -311,8 +310,7 @@ def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limi
         # 1. Find the best tree for the price, until all errors of its leaves are those at all samples.
         while True:
             tree = best_tree(lattice, fits.integral + peak_weight * fits.largest, np.exp(log_price), limits.max_depth)
-            estimated = tree.box[fits.is_estimated[tree.box]]
-            if not len(estimated):
+            if not len(estimated := tree.box[fits.is_estimated[tree.box]]):
                 break
             fits.evaluate(lattice, estimated)
         # 2. Compare it with the limits. Stop if it nearly fills them, or has as many leaves as the largest before.

@@ -120,9 +120,7 @@ def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, " leaves"] |
 def require_goals(goals: Any) -> Any:
     """Return ``goals``, the index of each leaf's nearest goal; ``ValueError`` if it is None (not stored)."""
     if goals is None:
-        raise ValueError(
-            "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "
-            "it a function that knows this, plr.with_nearest_goal(oracle.which); or, if its leaves are cones, take "
-            "the ends of trace(plr, x).paths."
-        )
+        cause = "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do"
+        advice = "Give it a function that knows this, plr.with_nearest_goal(oracle.which)"
+        raise ValueError(f"{cause}. {advice}; or, if its leaves are cones, take the ends of trace(plr, x).paths.")
     return goals

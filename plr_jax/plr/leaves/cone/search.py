@@ -96,8 +96,7 @@ def fit_boxes(
     """
     # 1. If all paths from a box go straight to one source, its cone is exact.
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
-    mixed = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
-    if len(mixed):
+    if len(mixed := np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))):
         # 2. A mixed box tries the sources that the centers of its convex pieces use (keys: box * count + source).
         # Sources of the largest area come first; the first `most` of each box stay.
         visible_of_mixed = visible.of_cells(mixed)

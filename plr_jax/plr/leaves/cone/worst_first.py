@@ -225,8 +225,7 @@ class WorstFirst:
             # 3. Compare the trees with the limits: lower the threshold of a goal, or end its search.
             for i, search in list(searches.items()):
                 tree = _GoalTree(nodes, i, search.files, limits)
-                num_splits = search.num_splits(tree)
-                if num_splits is not None:
+                if (num_splits := search.num_splits(tree)) is not None:
                     del searches[i]
                     if num_splits or tree.used_share(0) <= 1:
                         leaf = tree.leaves(num_splits)
