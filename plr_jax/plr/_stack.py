@@ -291,7 +291,12 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
-    zeros = cache(lambda dtype, *shape: jax.device_put(np.zeros(shape, dtype)))
+
+    @cache
+    def zeros(dtype: type, *shape: int) -> Array:
+        with jax.ensure_compile_time_eval():  # also inside a traced function
+            return jax.device_put(np.zeros(shape, dtype))
+
     no_lookup: dict[str, Any] = {"blocks": None, "pages": None, "leaf_of_slot": zeros(np.uint16, 0)}
     frames: list[Tables] = []
     for i, each in enumerate(tables):
