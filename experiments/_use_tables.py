@@ -333,11 +333,8 @@ def buildings(exact: dict[str, Any], costs: dict[str, Any], bounds: dict[str, An
         ("broken bounds", "{broken}"),
         words=0,
     )
-    checked = {part: dict(random[part]) for part in ("oracle", "file", "pairs")}
-    wrong = {
-        part: sum(n for name, n in found.items() if name not in ("points", "traced"))
-        for part, found in checked.items()
-    }
+    of_oracle, of_files, of_pairs = (random[part] for part in ("oracle", "file", "pairs"))
+    wrong = sum(number for name, number in of_oracle.items() if name != "points")
     rows = exact["rows"]
     largest = max(row["largest"] for row in rows)
     goals, num = len(rows), sum(row["wrong"] for row in rows)
@@ -347,10 +344,11 @@ def buildings(exact: dict[str, Any], costs: dict[str, Any], bounds: dict[str, An
         f"building takes {costs['preparing']:.2f} CPU s, another goal {costs['another_goal']:.3f} s. The oracle "
         f"beside an independent search by Shapely and NetworkX, {goals} goals, {exact['points']:,} points each: "
         f"{num} differ by more than {exact['error']:g} m, largest difference {largest:.1e} m. "
-        f"On {random['buildings']} random buildings: {wrong['oracle']} wrong distances, next links and routes at "
-        f"{checked['oracle']['points']:,} points; {wrong['file']} broken bounds and wrong routes of files at "
-        f"{checked['file']['points']:,} points; {wrong['pairs']} wrong distances and bounds of "
-        f"{checked['pairs']['points']:,} pairs.\n"
+        f"On {random['buildings']} random buildings: {wrong} wrong distances, next links and routes of oracles at "
+        f"{of_oracle['points']:,} points; {of_files['bounds']} broken bounds of files at {of_files['points']:,} "
+        f"points; {of_files['routes']} wrong routes of {of_files['traced']:,} from files, between walls that touch at "
+        f"a link end; {of_pairs['bounds'] + of_pairs['distances']} wrong distances and bounds of "
+        f"{of_pairs['points']:,} pairs.\n"
     )
 
 
