@@ -346,8 +346,8 @@ def buildings(exact: dict[str, Any], costs: dict[str, Any], bounds: dict[str, An
         f"{num} differ by more than {exact['error']:g} m, largest difference {largest:.1e} m. "
         f"On {random['buildings']} random buildings: {wrong} wrong distances, next links and routes of oracles at "
         f"{of_oracle['points']:,} points; {of_files['bounds']} broken bounds of files at {of_files['points']:,} "
-        f"points; {of_files['routes']} wrong routes of {of_files['traced']:,} from files, between walls that touch at "
-        f"a link end; {of_pairs['bounds'] + of_pairs['distances']} wrong distances and bounds of "
+        f"points; {of_files['routes']} wrong routes of {of_files['traced']:,} from files, between walls that touch "
+        f"at a link end; {of_pairs['bounds'] + of_pairs['distances']} wrong distances and bounds of "
         f"{of_pairs['points']:,} pairs.\n"
     )
 
