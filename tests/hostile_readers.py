@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from building_scenes import GOAL, two_floors
 from pair_helpers import serpentine
 from PIL import Image
 from volume_files import VOXELS, array_files
 
 import plr_jax
 from plr_jax import Box, DiscRobot, PointRobot, Problem, RectangleRobot, ReedsShepp, Workspace, construct, scenes
-from plr_jax.plr.container import Header
+from plr_jax.plr.container import MAGIC, Header
 from plr_jax.plr.leaves import leaf_names
 
 _GRID = """type octile
@@ -177,6 +178,19 @@ def _read_cost_map_of_picture(path: Path) -> Any:
         file.unlink()
 
 
+def _building_files() -> list[bytes]:
+    return _written(scenes.save_building, [two_floors()])
+
+
+def _plr_of_building_files() -> list[bytes]:
+    return [two_floors().oracle(*GOAL).construct(max_bytes=500, certified=True).to_bytes()]
+
+
+def _with_inner_checksum(data: bytes) -> bytes:
+    start = data.find(MAGIC)
+    return data if start < 0 else data[:start] + _with_checksum(data[start:])
+
+
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
@@ -192,5 +206,7 @@ READERS = {
     "voxels": Reader(scenes.read_volume, ".3dmap", lambda: [VOXELS.encode()]),
     "PLR": Reader(plr_jax.load, ".plr", _plr_files, _with_checksum),
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
+    "building": Reader(scenes.read_building, ".json", _building_files),
+    "PLR of a building": Reader(plr_jax.load, ".building", _plr_of_building_files, _with_inner_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
 }
