@@ -24,8 +24,8 @@ from .buildings import Link as Link
 from .buildings import NumpyBuildingPLR as NumpyBuildingPLR
 from .buildings import Route as Route
 from .buildings import load_numpy as load_numpy
-from .eikonal import CostDistance as CostDistance
-from .eikonal import cost_distance as cost_distance
+from .rasters import CostDistance as CostDistance
+from .rasters import cost_distance as cost_distance
 from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
 from .geometry.workspace import Workspace as Workspace

@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parent.parent / "plr_jax"
 # itself and parts of lower layers; parts of one layer never import one another.
 LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
     oracles plr planners spaces traced / buildings / pairs / _io / _lookahead /
-    _descend metrics plot scenes eikonal ompl / cli guides / __main__"""
+    _descend metrics plot scenes eikonal ompl / rasters / cli guides / __main__"""
 PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame sizes coding sampling /
     bound_classes container / certificate / growth / best_partition / leaves / _file /
     tables / query / team / portable / _tunable / _plr / _stack / _trace / _construct / _construct_many"""

@@ -1,5 +1,3 @@
 """Cost-to-go functions computed from free space and motion costs, as solutions of the eikonal equation."""
 
-from plr_jax.eikonal.rasters import CostDistance as CostDistance
-from plr_jax.eikonal.rasters import cost_distance as cost_distance
 from plr_jax.eikonal.solve import solve_eikonal as solve_eikonal

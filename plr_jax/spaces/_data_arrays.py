@@ -74,3 +74,13 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
 def _is_geographic(attributes: dict[str, Any]) -> bool:
     name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))  # the CF conventions
     return name == "latitude_longitude" or text.startswith("GEOG")
+
+
+def opened(name: str, raster: Any) -> Any:
+    return raster
+
+
+def is_in_degrees(raster: Any) -> bool:
+    in_degrees = any(str(axis).lower() in _DEGREES for axis in raster.dims)
+    in_degrees |= any(str(raster[axis].attrs.get("units", "")).startswith("degree") for axis in raster.dims)
+    return in_degrees or any(_is_geographic(coordinate.attrs) for coordinate in raster.coords.values())

@@ -8,14 +8,22 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_bool, as_numbers, as_point, as_points, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal import raster_search
-from plr_jax.eikonal.raster_search import MOST_CELLS, MOST_ON_REQUEST, PathTree, Points, Raster, Slope, cells_of
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
-from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
+from plr_jax.rasters.lower_bound import ROUNDING, lower_bound
+from plr_jax.rasters.marching import march
+from plr_jax.rasters.search import PathTree, Points, Raster, Relief, Slope, cells_of, search
+from plr_jax.rasters.search_grid import MOST_LATITUDE, SearchGrid
+from plr_jax.spaces._data_arrays import data_array_box, is_data_array, is_in_degrees, opened, raster_values
+from plr_jax.spaces._raster_cost import nearest_cells
 
+# Numbers of cells for a search for paths, which takes about 4 kB for each cell that is no barrier:
+_FINE_CELLS = 60_000  # smaller rasters are divided into about so many parts: 240 MB
+MOST_CELLS = 1 << 21  # most cells by default: 8 GB
+MOST_ON_REQUEST = 1 << 22  # most cells if the search is needed: for bounds, heights, or squeezing paths: 17 GB
+_TOLERANCE = 0.01  # of coordinates, as a share of a cell
 _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
 
@@ -50,7 +58,7 @@ class CostDistance:
     lower: Any = None
     upper: Any = None
     plr: PLR | None = None
-    _box: Box | None = field(default=None, repr=False)
+    _grid: SearchGrid | None = field(default=None, repr=False)
     _tree: PathTree | None = field(default=None, repr=False)
 
     def path(self, point: ArrayLike) -> Float[np.ndarray, "n 2"]:
@@ -65,16 +73,18 @@ class CostDistance:
             ValueError: If the point is outside the raster, or the result has no paths because the raster has more
                 than 2 million cells (see :func:`cost_distance`).
         """
-        if self._tree is None or self._box is None:
+        if self._tree is None or self._grid is None:
             advice = "use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)"
             many = f"Over more than {MOST_CELLS:,} cells, about square"
             raise ValueError(f"{many}, distances come without paths. Follow a PLR instead: {advice}.")
-        shape, box = np.shape(self.distance), self._box
-        place = as_point("point", box.settled(point), 2) - box.lo
+        box, shape = self._grid.box, self._grid.shape
+        place = box.wrapped(as_point("point", box.settled(point), 2)) - box.lo
         if not ((place >= 0) & (place <= box.width)).all():
             raise ValueError(f"point must lie in the raster {box}, got {shortened(point)}.")
-        cell = cells_of(place, box.width / shape[::-1], shape)
-        return box.lo + self._tree.path((cell[::-1] + 0.5) * box.width / shape[::-1])
+        row, column = cells_of(place, box.width / shape[::-1], shape).tolist()
+        path = self._grid.on_raster(self._tree.path(*self._grid.middle_of((row, column))))
+        path[:1] = box.lo + (np.array([column, row]) + 0.5) * box.width / shape[::-1]
+        return path
 
 
 def cost_distance(
@@ -82,6 +92,8 @@ def cost_distance(
     sources: ArrayLike,
     *,
     cell_size: float | ArrayLike = 1.0,
+    degrees: bool | None = None,
+    squeeze: bool = False,
     heights: ArrayLike | None = None,
     slope_cost: Slope | str = "tobler",
     from_sources: bool = False,
@@ -127,41 +139,64 @@ def cost_distance(
             in a barrier. If an option is out of its range, or ``bounds`` comes with heights or more than 4 million
             cells. If fast marching is used and costs differ by more than a factor of 100,000.
     """
-    # 1. The raster with the lowest coordinates first, and the sources in it.
+    # 1. The raster with the lowest coordinates first, its heights, and the sources in it.
+    costs, heights = opened("costs", costs), opened("heights", heights)
+    if is_data_array(heights) and not is_data_array(costs):
+        if np.shape(costs) not in ((), heights.shape):
+            expected = f"a number, or have the shape {heights.shape} of heights"
+            raise ValueError(f"costs must be {expected}, got shape {np.shape(costs)}.")
+        costs = heights.copy(data=np.broadcast_to(np.ma.filled(costs, np.nan), heights.shape))
+        costs.attrs, costs.encoding = ({key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding))
     cost, box, flips = _raster(costs, cell_size)
-    side = box.width / cost.shape[::-1]
-    rise = None if heights is None else raster_values("heights", heights)
-    if rise is not None:
-        if rise.shape != cost.shape or cost.size > MOST_ON_REQUEST:
-            expected = f"shape {cost.shape}, of at most {MOST_ON_REQUEST:,} cells"
-            raise ValueError(f"heights must have {expected}, got {rise.shape}.")
+    box, in_degrees = _in_degrees(costs, box, cost.shape, degrees)
+    relief = None
+    if heights is not None:
+        height = raster_values("heights", heights)
+        if height.shape != cost.shape:
+            raise ValueError(f"heights must have shape {cost.shape}, got {height.shape}.")
         _require_aligned("heights", heights, costs)
-        rise = rise[flips]
-        cost = np.where(np.isfinite(rise), cost, np.inf)
+        height = height[flips]
+        cost = np.where(np.isfinite(height), cost, np.inf)
     points = _as_sources(sources, costs, cost, box, flips)
-    # 2. Distances, nearest sources and bounds: by a search for paths or, over many cells, by a march.
-    plr = tree = None
-    if rise is None:
-        parts = raster_search.parts_of_cells(cost, side)  # rows and columns of parts, about square, of each cell
-        num_cells = cost.size * int(parts.prod())
-        if as_bool("bounds", bounds) and num_cells > MOST_ON_REQUEST:
-            raise ValueError(f"bounds=True needs at most {MOST_ON_REQUEST:,} cells, about square, got {num_cells:,}.")
-        if bounds or num_cells <= MOST_CELLS:
-            results, tree = raster_search.search_finely(cost, side, points, parts, bounds)
-        else:
-            results = raster_search.march(cost, side, points)
-    else:
+    # 2. The grid for a search for paths or, over many cells, for a march.
+    needs_paths = heights is not None or as_bool("bounds", bounds) or as_bool("squeeze", squeeze)
+    grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS, heights is None)
+    num_cells = int(np.isfinite(cost).sum(axis=1)[grid.row_of].sum()) * grid.column_parts
+    if needs_paths and num_cells > MOST_ON_REQUEST:
+        most = f"at most {MOST_ON_REQUEST:,} cells, about square, that are no barriers"
+        raise ValueError(f"With heights, bounds or squeeze, the raster must have {most}, got {num_cells:,}.")
+    if marches := num_cells > MOST_CELLS and not needs_paths:
+        grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS, False)
+    if heights is not None:
+        # Barriers get the height of the nearest cell.
+        filled = height[nearest_cells(np.isfinite(height), (box.width / cost.shape[::-1])[::-1])]
         slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
         slope_to_source = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
-        distance, _, nearest, tree = raster_search.search(cost, side, points, rise, slope_to_source)
-        results = distance, nearest
+        relief = Relief(grid.interpolated(filled), slope_to_source, grid.scale)
+    if bounds and in_degrees:
+        raise ValueError("Costs in degrees are resampled, so they have no proven bounds: project the raster.")
+    # 3. Distances, nearest sources and bounds at the centers of parts, then of cells.
+    fine, places, tree = grid.divided(cost), grid.in_plane(points), None
+    if in_degrees:
+        fine = fine * grid.scale[:, None]
+    if marches:
+        results = list(march(fine, grid.side, places, grid.wraps))
+    else:
+        distance, at_corners, nearest, tree = search(
+            fine, grid.side, places, wraps=grid.wraps, squeeze=squeeze, relief=relief
+        )
+        results = [distance, nearest]
+        if bounds and at_corners is not None:
+            results += [lower_bound(fine, grid.side, places, distance, at_corners), distance * (1 + ROUNDING)]
+    results = [grid.at_centers(table) for table in results]
+    plr = None
     if max_bytes is not None:
         plr = construct(GridField(results[0], box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
-    # 3. Results in the order and with the coordinates of the given raster: `flips` applied again.
+    # 4. Results in the order and with the coordinates of the given raster: `flips` applied again.
     tables: list[Any] = [table[flips] for table in results]
     if is_data_array(costs):
         kept = [{key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)]
@@ -169,14 +204,37 @@ def cost_distance(
             tables[k] = costs.copy(data=tables[k]).rename(name)
             tables[k].attrs, tables[k].encoding = kept
         tables[1].attrs["_FillValue"] = -1  # files then know that -1 is no nearest source
-    return CostDistance(*tables, plr=plr, _box=box, _tree=tree)
+    return CostDistance(*tables, plr=plr, _grid=grid, _tree=tree)
+
+
+def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | None) -> tuple[Box, bool]:
+    """Return the raster's box, periodic along x if it spans 360 degrees, and whether the raster is in degrees."""
+    if degrees is None:
+        degrees = is_data_array(costs) and is_in_degrees(costs)
+    if not as_bool("degrees", degrees):
+        return box, False
+    if not is_data_array(costs):
+        raise ValueError("degrees=True needs a DataArray, whose coordinates are longitude and latitude, got an array.")
+    tolerance = _TOLERANCE * box.width / shape[::-1]
+    if box.width[0] > 360 + tolerance[0]:
+        raise ValueError(f"Longitudes must span at most 360 degrees, got {box.width[0]:g}: leave out columns.")
+    if (np.abs([box.lo[1], box.hi[1]]) > MOST_LATITUDE + tolerance[1]).any():
+        rows = f"rows between latitudes -{MOST_LATITUDE:g} and {MOST_LATITUDE:g} degrees"
+        got = f"{box.lo[1]:g} to {box.hi[1]:g}"
+        raise ValueError(f"A raster in degrees must have {rows}, got {got}: crop it, for example by costs.sel.")
+    if box.width[0] > 360 - tolerance[0]:
+        box = Box(box.lo, (box.lo[0] + 360.0, box.hi[1]), (True, False))
+    return box, True
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
     # If both are a DataArray, they must have equal dimensions and coordinates.
     if is_data_array(raster) and is_data_array(costs):
-        pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
-        if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
+        is_aligned = raster.dims == costs.dims and raster.shape == costs.shape
+        for axis in costs.dims if is_aligned else ():
+            ours, given = (np.asarray(each[axis].values, float) for each in (costs, raster))
+            is_aligned &= bool((np.abs(ours - given) <= _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)).all())
+        if not is_aligned:
             expected = f"the dimensions {costs.dims} and coordinates of costs, got other ones"
             raise ValueError(f"{name} must have {expected}: use reindex_like(costs) or interp_like(costs).")
 
@@ -219,40 +277,43 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
 
 
 def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
-    """Check the sources, which are points or a mask; return points ``(k, 2)`` relative to the raster's lower corner.
+    """Check the sources, which are points or a mask, and return points ``(k, 2)``.
 
     ``cost``, ``box`` and ``flips`` are the results of :func:`_raster` for the raster ``costs``.
     """
     # 1. Points: the centers of the mask's cells, in the order of the given raster; or points as given.
     side = box.width / cost.shape[::-1]
+
+    def cells(x: Points) -> tuple[Any, ...]:
+        return tuple(cells_of(np.clip(x - box.lo, 0, box.width), side, cost.shape).T)
+
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         _require_aligned("A mask of sources", sources, costs)
         if np.shape(sources) != cost.shape:
             raise ValueError(f"A mask of sources must have the raster's shape {cost.shape}, got {np.shape(sources)}.")
-        cells = zip(cost.shape, flips, np.nonzero(np.ma.filled(sources, False)), strict=True)
-        row, column = (np.arange(count)[flip][index] for count, flip, index in cells)
-        points = (np.stack([column, row], axis=1) + 0.5) * side
+        indices = zip(cost.shape, flips, np.nonzero(np.ma.filled(sources, False)), strict=True)
+        row, column = (np.arange(count)[flip][index] for count, flip, index in indices)
+        points = box.lo + (np.stack([column, row], axis=1) + 0.5) * side
     elif np.shape(sources) == cost.shape and cost.shape[1] != 2:
         raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
         # Sources in 32 bits that rounding put outside of the raster or into a barrier move back.
         def is_open(x: Points) -> Bool[np.ndarray, " n"]:
-            cells = cells_of(np.clip(x - box.lo, 0, box.width), side, cost.shape)
-            return box.contains(x) & np.isfinite(cost[tuple(cells.T)])
+            return box.contains(x) & np.isfinite(cost[cells(x)])
 
-        points = as_points("sources", box.settled(sources, is_open), 2) - box.lo
+        points = box.wrapped(as_points("sources", box.settled(sources, is_open), 2))
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 
     # 2. All points must lie in cells of the raster that are no barriers.
     def first(wrong: Bool[np.ndarray, " k"]) -> str:
         row = int(np.argmax(wrong))
-        return f"source {row} at {(points[row] + box.lo).tolist()}, one of {wrong.sum()}"
+        return f"source {row} at {points[row].tolist()}, one of {wrong.sum()}"
 
-    is_outside: Any = ~((points >= 0) & (points <= box.width)).all(axis=1)
+    is_outside: Any = ~box.contains(points)
     if is_outside.any():
         raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
-    is_barred: Any = ~np.isfinite(cost[tuple(cells_of(points, side, cost.shape).T)])
+    is_barred: Any = ~np.isfinite(cost[cells(points)])
     if is_barred.any():
         advice = "For a mask of sources, use mask & np.isfinite(costs)."
         raise ValueError(f"sources must not lie in barriers, got {first(is_barred)}: move it. {advice}")

@@ -9,13 +9,13 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize_scalar
 
 from plr_jax import VisibilityGraph, Workspace, cost_distance
-from plr_jax.eikonal import raster_search, rasters
+from plr_jax.rasters import _cost_distance
 
 
 @pytest.fixture(autouse=True)
 def _few_cells(monkeypatch):
     """Divide cells of small rasters into fewer parts, which is quick."""
-    monkeypatch.setattr(raster_search, "_FINE_CELLS", 3_000)
+    monkeypatch.setattr(_cost_distance, "_FINE_CELLS", 3_000)
 
 
 def centers(shape, cell_size=(1, 1)):
@@ -248,7 +248,7 @@ def test_bounds_do_not_pass_diagonal_walls():
 
 
 def test_fronts_march_over_large_rasters(monkeypatch):
-    monkeypatch.setattr(rasters, "MOST_CELLS", 0)
+    monkeypatch.setattr(_cost_distance, "MOST_CELLS", 0)
     costs, sources = np.full((60, 80), 3.0), np.array([(10.2, 15.9), (70.7, 40.1), (69.0, 41.0)])
     costs[:, 0] = np.nan
     result = cost_distance(costs, sources)

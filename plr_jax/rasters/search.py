@@ -1,0 +1,327 @@
+"""Shortest paths over a raster whose costs are constant in each cell.
+
+:func:`search` runs Dijkstra's algorithm on a graph of straight edges between corners (o) and centers (x) of open
+cells, up to four cells long, with their exact costs. With heights, edges join centers alone and are up to six cells
+long::
+
+    o-------o-------o
+    |   x   |   x   |     Edges lead from each node to the nodes around it, in all directions in which
+    o-------o-------o     they pass no other node.
+    |   x   |   x   |
+    o-------o-------o
+
+Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise, product
+from math import floor, gcd
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int32
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
+
+_HALVES = 8  # most half cells of an edge along each axis, without heights
+_REACH = 6  # most cells of an edge along each axis, with heights; also the width of the rim around the raster
+_NODES_AT_ONCE = 8192  # nodes whose edges are computed at a time, so that their arrays stay in the cache
+_SAME_DIRECTION = 1e-9  # largest difference of unit vectors along a straight path
+Raster = Float[np.ndarray, "rows columns"]
+AtCorners = Float[np.ndarray, "rows+1 columns+1"]
+Nearest = Int[np.ndarray, "rows columns"]
+Sides = Float[np.ndarray, "2"]
+Points = Float[np.ndarray, "k 2"]
+Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
+Cell = tuple[int, int]  # row and column, also of an offset between cells
+AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
+# Stretches of a motion: the share of the motion at which each ends, and the factor of the cost in it.
+Stretches = Sequence[tuple[float, float | np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """Heights of a raster's cells, and the factor of the cost at each slope (rise over run) toward the sources."""
+
+    height: Raster
+    slope_fn: Slope
+    run: Float[np.ndarray, " rows"]  # the horizontal length of a unit of the raster, in each row
+
+
+@dataclass(frozen=True, eq=False)
+class PathTree:
+    """Shortest paths from the centers of a raster's cells to the nearest source.
+
+    Sources are given points. Coordinates are relative to the raster's lower corner.
+    """
+
+    next_node: Int[np.ndarray, " nodes"]  # of each node the next one of its path; negative without a path
+    place: Int32[np.ndarray, "places 2"]  # row and column of each node in half cells; the last nodes are sources
+    sources: Points
+    node_of: Int32[np.ndarray, "rows columns"]  # the node in the center of each cell; negative in barriers
+    side: Sides  # of a cell
+    period: float | None  # width of the raster if its last column meets the first one
+
+    def path(self, row: int, column: int) -> Points:
+        """Return the vertices of the path from the center of a cell: both ends, and the points where the path turns.
+
+        If there is no path, the result has no vertices. A path around a raster with a period leaves the raster.
+        """
+        # 1. Follow the next nodes up to a source.
+        *nodes, last = path_from_root(self.next_node, int(self.node_of[row, column]))[::-1]
+        if last < (num_nodes := len(self.place)):
+            return np.empty((0, 2))
+        path = np.append(self.place[nodes][:, ::-1] / 2 * self.side, self.sources[last - num_nodes, None], axis=0)
+        if self.period is not None:
+            path[:, 0] = np.unwrap(path[:, 0], period=self.period)
+        # 2. Leave out equal vertices, and vertices at which the path does not turn.
+        path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
+        edges = np.diff(path, axis=0)
+        edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+        is_turn = (np.abs(np.diff(edges, axis=0)) > _SAME_DIRECTION).any(axis=1)
+        return path[np.r_[True, is_turn, True][: len(path)]]
+
+
+def search(
+    cost: Raster,
+    side: Sides,
+    points: Points,
+    *,
+    wraps: bool = False,
+    squeeze: bool = False,
+    relief: Relief | None = None,
+) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
+    """Find shortest paths from raster cells to the nearest of the sources ``points``.
+
+    Args:
+        cost: Cost per unit of length in each cell; ``inf`` in barriers.
+        side: Width and height of a cell.
+        points: Sources, relative to the raster's lower corner, in cells that are no barriers.
+        wraps: Whether the last column meets the first one.
+        squeeze: Whether paths pass between two barriers that touch in a corner.
+        relief: If given, the cost at each place is multiplied by the factor of the slope there.
+
+    Returns:
+        The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
+        heights, ``inf`` where a corner is no node); the index of each cell's nearest source (-1 without a path); and
+        the paths.
+    """
+    # 1. Put a rim around the raster: barriers or, beside the first and the last column of a raster that wraps, the
+    #    columns at the other end. A cell has a flat index in the raster with its rim. The corner of two lower sides
+    #    of a cell has the cell's flat index.
+    points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
+    rows, columns = cost.shape
+    home = cells_of(points, side, cost.shape)
+    rim = ((_REACH, _REACH), (0, 0)), ((0, 0), (_REACH, _REACH))
+    around: Any = {"mode": "wrap"} if wraps else {"constant_values": np.inf}
+    cost = np.pad(np.pad(cost, rim[0], constant_values=np.inf), rim[1], **around)
+    width = cost.shape[1]
+    inside = np.s_[_REACH:-_REACH, _REACH:-_REACH]
+    flat_cost, is_open = cost.ravel(), np.isfinite(cost)
+    # 2. Number the nodes: first corners (`nodes[0]`) of open cells (none with heights), then centers (`nodes[1]`) of
+    #    open cells. Paths pass no corner where two barriers touch, unless they squeeze through.
+    is_node = {1: np.zeros(cost.shape, bool)}
+    is_node[1][inside] = is_open[inside]
+    if relief is None:
+        is_node = {0: np.zeros(cost.shape, bool), **is_node}
+        a, b, c, d = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, :-1], is_open[1:, 1:]  # a and b are the lower
+        is_contact = (a == d) & (b == c) & (a != b) & (not squeeze)
+        is_node[0][1:, 1:] = (a | b | c | d) & ~is_contact
+        is_node[0][:, columns + _REACH + (not wraps) :] = is_node[0][:, :_REACH] = False
+    nodes, number, num_nodes = {}, {}, 0
+    for half, is_one in is_node.items():
+        nodes[half] = np.flatnonzero(is_one)
+        numbers = np.full(is_one.shape, -1, np.int32)
+        numbers.ravel()[nodes[half]] = num_nodes + np.arange(len(nodes[half]))
+        number[half] = (np.pad(numbers[:, _REACH:-_REACH], rim[1], mode="wrap") if wraps else numbers).ravel()
+        num_nodes += len(nodes[half])
+    # 3. List the steps of edges from each node, in half cells, so that edges pass no other node.
+    if relief is None:
+        # Counted in half cells, corners have even places and centers odd ones:
+        #
+        #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no
+        #      3      x       x        node if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place,
+        #      2  o       o       o    (i / 2, j / 2), which is no node if i / 2 + j / 2 is odd.
+        #      1      x       x
+        #      0  o       o       o
+        #         0   1   2   3   4
+        #
+        half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
+        steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
+        # Edges from sources lead to nodes in and beside their cells, at offsets `near` from the centers of cells.
+        near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
+        costs_to_near = _straight_costs(cost, side, points, home, near)
+    else:
+        # Sources move to the centers of their cells, at no cost.
+        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+        near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
+        points = (home[:, ::-1] + 0.5) * side
+        height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
+        run = np.pad(relief.run, _REACH, mode="edge")
+
+    def ends_of(step: Cell, half: int, begin: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+        # The nodes to which a step leads from corners (`half` is 0) or centers (1) of cells; negative if it leads to
+        # none. From a node at the place 2 * row + half, the step i leads to the place
+        # 2 * (row + (half + i) // 2) + (half + i) % 2.
+        (row, end_half), (column, _) = (divmod(half + along, 2) for along in step)
+        return number[end_half][begin + row * width + column]
+
+    # 4. Compute the edges of all nodes, by node and step, and then those of sources. The cost of an edge is its
+    #    length times the mean cost along it; an infinite cost is no edge.
+    size = num_nodes * len(steps)
+    ends, costs = np.empty(size + costs_to_near.size, np.int32), np.empty(size + costs_to_near.size)
+    row_of_edges = 0
+    for half, all_begins in nodes.items():
+        for begin in batches(all_begins, _NODES_AT_ONCE):
+            end, cost_of = np.empty((len(steps), len(begin)), np.int32), np.empty((len(steps), len(begin)))
+            cost_at = lambda cell: flat_cost[begin + cell[0] * width + cell[1]]  # noqa: B023, E731
+            for k, (i, j) in enumerate(steps):
+                length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
+                stretches: Stretches = [(1.0, 1.0)]
+                if relief is not None:
+                    height_at = lambda cell: height[begin + cell[0] * width + cell[1]]  # noqa: B023, E731
+                    run_at = lambda row: run[begin // width + row]  # noqa: B023, E731
+                    stretches = _slope_factors(i // 2, j // 2, length, height_at, run_at, relief.slope_fn)
+                end[k] = ends_of((i, j), half, begin)
+                cost_of[k] = length * mean_along(i, j, half, cost_at, stretches, squeeze)
+            table = slice(row_of_edges, row_of_edges + end.size)
+            ends[table], costs[table] = np.maximum(end, 0).T.ravel(), np.where(end < 0, np.inf, cost_of).T.ravel()
+            row_of_edges += end.size
+    flat_home = (home + _REACH) @ (width, 1)
+    to_near = np.stack([ends_of((i, j), 1, flat_home) for i, j in near.tolist()], axis=1)
+    ends[size:] = np.maximum(to_near, 0).ravel()
+    costs[size:] = np.where(to_near < 0, np.inf, costs_to_near).ravel()
+    # 5. Find shortest paths outward from all sources at once.
+    begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
+    graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
+    sources = num_nodes + np.arange(len(points))
+    distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
+
+    nearest_of = np.append(first, -1)[np.maximum(source - num_nodes, -1)]
+
+    def raster_of(half: int, values: np.ndarray, elsewhere: float) -> Any:
+        # Values of all corners or centers, from values of all nodes.
+        table = np.full(cost.shape, elsewhere, values.dtype)
+        table.ravel()[nodes[half]] = values[number[half][nodes[half]]]
+        return table[_REACH : _REACH + rows + 1 - half, _REACH : _REACH + columns + 1 - half]
+
+    place = [2 * (np.stack(np.divmod(nodes[half], width), axis=1) - _REACH) + half for half in nodes]
+    node_of = number[1].reshape(cost.shape)[inside]
+    period = float(columns * side[0]) if wraps else None
+    tree = PathTree(toward, np.concatenate(place).astype(np.int32), points, node_of, side, period)
+    at_corners = raster_of(0, distance, np.inf) if relief is None else None
+    return raster_of(1, distance, np.inf), at_corners, raster_of(1, nearest_of, -1), tree
+
+
+def _straight_costs(
+    cost: Raster, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
+) -> Float[np.ndarray, "k nodes"]:
+    """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
+
+    Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
+    cell. ``home`` has the row and column of this cell. ``cost`` has a rim of ``_REACH`` cells. A motion through a
+    barrier costs ``inf``.
+    """
+    # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
+    #
+    #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `leaves` are the shares of
+    #      |       | . end |        the motion at which it leaves the row and the column; 1 if it does not. The first
+    #      |       .       |        cell has the share `first` of the motion, the second cell the share last - first,
+    #      +-----.-+-------+        and the third cell the rest.
+    #      | begin |       |
+    #      +-------+-------+
+    #
+    # 1. Find where the motion leaves the row and the column, and the cells.
+    begin = points[:, None, ::-1] / side[::-1]
+    change = home[:, None] + 0.5 + near / 2 - begin
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leaves = np.where(np.abs(near) > 1, (home[:, None] + (near > 0) - begin) / change, 1.0)
+        first, last = leaves.min(axis=2), leaves.max(axis=2)
+        beyond = np.sign(near) * (leaves < 1)
+        cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
+        # 2. Average the costs of the cells. Along the border to the previous cell, the cheaper cell counts.
+        is_along = (change == 0) & (near < 0)
+        cost_1, cost_2, cost_3 = (
+            np.minimum(*(cost[tuple(np.moveaxis(each + _REACH, 2, 0))] for each in (cell, cell - is_along)))
+            for cell in cells
+        )
+        mean = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
+    return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+
+
+def mean_along(
+    i: int, j: int, half: int, cost_at: AtOffset, stretches: Stretches = ((1.0, 1.0),), squeeze: bool = False
+) -> np.ndarray:
+    """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
+
+    Each motion goes by ``i`` half cells across rows and by ``j`` half cells across columns. All motions begin in the
+    center of a cell (``half`` is 1) or in its lower corner (``half`` is 0). For an offset in rows and columns,
+    ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin. In each of
+    the ``stretches`` of the motion, costs are multiplied by a factor. Unless motions ``squeeze`` through, they do not
+    pass between two barriers that touch in a corner.
+    """
+    # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which starts at
+    #    `half` and counts half cells, is even. Cut it where stretches end, too. The middle of each piece, in cells,
+    #    tells its cell.
+    #
+    #      +-------+-------+-------+
+    #      |       |      .|.  x   |      From center to center by i = 2 and j = 4: cuts at 1/4, 1/2 and 3/4.
+    #      +-------+---.---+-------+
+    #      |   x  .|.      |       |
+    #      +-------+-------+-------+
+    #
+    borders = {k / abs(n) for n in (i, j) for k in range(1, abs(n)) if (half + k) % 2 == 0}
+    cuts = sorted({0.0} | borders | {end for end, _ in stretches})
+    cells = [(floor((half + i * (a + b) / 2) / 2), floor((half + j * (a + b) / 2) / 2)) for a, b in pairwise(cuts)]
+    # 2. Add the cost of each piece. Along the border of two cells the cheaper one counts.
+    mean: Any = 0.0
+    for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
+        cost = cost_at((row, column))
+        if half == 0 and 0 in (i, j):
+            cost = np.minimum(cost, cost_at((row - (i == 0), column - (j == 0))))
+        mean = mean + (b - a) * next(factor for end, factor in stretches if b <= end) * cost
+    # 3. Where the motion passes a corner, one of the other two cells there must be no barrier.
+    for a, b in pairwise(cells):
+        if a[0] != b[0] and a[1] != b[1] and not squeeze:
+            mean = np.where(np.isinf(np.minimum(cost_at((a[0], b[1])), cost_at((b[0], a[1])))), np.inf, mean)
+    return mean
+
+
+def _slope_factors(
+    i: int, j: int, length: float, height_at: AtOffset, run_at: Callable[[int], np.ndarray], slope_fn: Slope
+) -> Stretches:
+    """Return the stretches of a motion from each of many cells to the cell at offset ``(i, j)``, by slope.
+
+    The motion is cut where it crosses a row or a column of centers. Heights are linear along rows and columns of
+    centers, and along each stretch. ``length`` is the length of the motion; ``height_at`` returns the heights at an
+    offset from all cells, and ``run_at`` the horizontal length of a unit of the raster in a row at an offset.
+    """
+    shares = sorted({Fraction(k, abs(n)) for n in (i, j) for k in range(abs(n) + 1) if n})
+    heights = []
+    for share in shares:
+        # The place of a crossing is whole along one axis. Along the other axis it is between two cells.
+        (row, rest_row), (column, rest_column) = divmod(i * share, 1), divmod(j * share, 1)
+        beyond, rest = (row + (rest_row > 0), column + (rest_column > 0)), float(max(rest_row, rest_column))
+        heights.append((1 - rest) * height_at((row, column)) + rest * height_at(beyond))
+    stretches = []
+    for (a, b), (low, high) in zip(pairwise(shares), pairwise(heights), strict=True):
+        # The slope toward the sources: the motion leads from the sources.
+        slope = (low - high) / (float(b - a) * length * run_at(round(i * (a + b) / 2)))
+        factor = as_numbers("slope_cost's answer", slope_fn(slope), "numbers")
+        if factor.shape not in ((), slope.shape) or not (factor > 0).all():
+            expected = f"slope_cost must return positive numbers of shape {slope.shape}"
+            raise ValueError(f"{expected}, got {shortened(factor)}.")
+        stretches.append((float(b), factor))
+    return stretches
+
+
+def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
+    """Return the row and column of the raster cell of each point.
+
+    ``points`` are relative to the raster's lower corner; ``side`` is the width and height of a cell.
+    """
+    return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
