@@ -179,7 +179,8 @@ def cost_distance(
     if bounds and in_degrees:
         raise ValueError("Costs in degrees are resampled, so they have no proven bounds: project the raster.")
     # 3. Distances, nearest sources and bounds at the centers of parts, then of cells.
-    fine, places, tree = grid.divided(cost), grid.in_plane(points), None
+    fine, tree = grid.divided(cost), None
+    places = grid.in_plane(points, np.isfinite(fine))
     if in_degrees:
         fine = fine * grid.scale[:, None]
     if marches:

@@ -19,7 +19,7 @@ Reference: Snyder, "Map projections: a working manual", 1987, chapter 7.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax.geometry.box import Box
 from plr_jax.rasters.search import Points, Raster, Sides, cells_of
@@ -128,17 +128,23 @@ class SearchGrid:
         change = np.subtract(there, here, out=np.zeros_like(here), where=is_known)
         return here + np.abs(self.above)[:, None] * change
 
-    def in_plane(self, points: Points) -> Points:
-        """Return the places of points of the raster in the plane of the grid."""
+    def in_plane(self, points: Points, is_open: Bool[np.ndarray, "rows columns"]) -> Points:
+        """Return the places, in the plane of the grid, of points in open cells of the raster.
+
+        Rows of parts do not end where rows of the raster do. So points move up or down to the nearest part of their
+        cell, unless they lie in another part that ``is_open``.
+        """
         points = self.box.wrapped(points)
         if not self.in_degrees:
             return points - self.box.lo
         x = EARTH_RADIUS * np.radians(points[:, 0] - self.box.lo[0])
         y = _mercator(points[:, 1]) - _mercator(self.box.lo[1])
-        # Rows of parts do not end where rows of the raster do: move points into the nearest part of their cell.
         row = cells_of(points - self.box.lo, self.box.width / self.shape[::-1], self.shape)[:, 0]
         first, last = (np.searchsorted(self.row_of, row, side) for side in ("left", "right"))
-        return np.stack([x, np.clip(y, (first + _EXACT) * self.side[1], (last - _EXACT) * self.side[1])], axis=1)
+        places = np.stack([x, y], axis=1)
+        is_in_barrier = ~is_open[tuple(cells_of(places, self.side, is_open.shape).T)]
+        moved = np.clip(y, (first + _EXACT) * self.side[1], (last - _EXACT) * self.side[1])
+        return np.stack([x, np.where(is_in_barrier, moved, y)], axis=1)
 
     def on_raster(self, points: Points) -> Points:
         """Return the points of the raster at places in the plane of the grid."""

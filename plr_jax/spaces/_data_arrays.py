@@ -1,27 +1,71 @@
 """Read xarray's ``DataArray`` as a raster of two dimensions, y and x, with coordinates of the cell centers.
 
-The functions return the raster's values, and the box that its cells fill. xarray need not be installed.
+The functions open files of rasters, and return a raster's values, the box that its cells fill, and whether its
+coordinates are degrees. xarray need not be installed.
 """
 
+import os
+import re
 import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_numbers, filled_with_inf
+from plr_jax._files import errors_named
 from plr_jax.geometry.box import Box
 
-NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray: values of cells without data
+# Attributes of a DataArray: values of cells without data; scale and offset of stored values; reference systems.
+_NO_DATA = "_FillValue", "missing_value", "nodata", "nodatavals", "fill_value"
+_SCALES = ("scale_factor", 1.0), ("scales", 1.0), ("add_offset", 0.0), ("offsets", 0.0)
+_REFERENCES = "crs_wkt", "spatial_ref", "crs", "grid_mapping_name"
+# The first such word of a reference system tells its kind: group 1 is geographic, else it is projected.
+_KIND = re.compile(
+    r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=", re.IGNORECASE
+)
 _X_NAMES = {"x", "lon", "longitude", "easting"}
 _Y_NAMES = {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
-_UNEVEN = 1e-3  # largest difference of two steps between coordinates, as a share of a step
+_UNEVEN = 0.02  # largest distance of a coordinate from even spacing, as a share of a cell
+_HUGE = 1e30  # no cost or height is so far below 0
 
 
 def is_data_array(raster: Any) -> bool:
-    # By its attributes: xarray may not be installed.
-    return all(hasattr(raster, name) for name in ("dims", "coords", "attrs"))
+    # By its attributes: xarray may not be installed. A Dataset has no shape.
+    return all(hasattr(raster, name) for name in ("dims", "coords", "attrs", "shape"))
+
+
+def opened(name: str, raster: Any) -> Any:
+    """Read the file of a raster if ``raster`` is its path, a ``str`` or ``os.PathLike``; else return ``raster``.
+
+    rioxarray reads the file's only band, scales it as the file states, and puts NaN into cells without data. Error
+    messages call the raster ``name``.
+    """
+    if not isinstance(raster, str | os.PathLike):
+        return raster
+    try:
+        import rioxarray
+        from rasterio.errors import RasterioIOError
+    except ImportError as error:
+        raise ImportError(f"{name}: files of rasters need rioxarray: pip install 'plr-jax[gis]'.") from error
+    options: Any = {"mask_and_scale": True, "decode_times": False, "cache": False}  # units of costs may be minutes
+    with errors_named(raster):
+        try:
+            file = rioxarray.open_rasterio(raster, **options)
+            if not is_data_array(file):
+                raise ValueError(f"{name} must be one raster, got a file of several: open one by rioxarray.")
+            with file:
+                if file.shape[0] != 1:
+                    advice = "rioxarray.open_rasterio(path, mask_and_scale=True).sel(band=1)"
+                    raise ValueError(f"{name} must have one band, got {file.shape[0]}: choose one, as by {advice}.")
+                band = file.squeeze(file.dims[0]).load()
+        except RasterioIOError as error:
+            kind = ValueError if os.path.exists(raster) else FileNotFoundError
+            raise kind(f"{name} must be a file that rioxarray reads ({error.__cause__ or error}).") from None
+    band.encoding.pop("_FillValue", None)  # such cells are NaN, and a mask of the file may allow the value
+    return band
 
 
 def raster_values(name: str, raster: Any, expected: str = "a raster of numbers") -> Float[np.ndarray, "..."]:
@@ -30,39 +74,79 @@ def raster_values(name: str, raster: Any, expected: str = "a raster of numbers")
     The attributes of a ``DataArray`` name the values of cells without data. ``expected`` describes a valid raster in
     error messages. The result is a copy.
     """
-    values = np.array(as_numbers(name, filled_with_inf(raster), expected))
-    if is_data_array(raster):
-        for key in NO_DATA:
-            values[values == raster.attrs.get(key)] = np.inf
-    values[np.isnan(values)] = np.inf
+    cells: Any = np.asarray(raster) if is_data_array(raster) else filled_with_inf(raster)
+    numbers = as_numbers(name, cells, expected)
+    has_no_data = np.isnan(numbers)
+    for value in _no_data_values(name, raster, cells.dtype) if is_data_array(raster) else ():
+        has_no_data |= cells == value
+    values = np.where(has_no_data, np.inf, numbers)
+    if values.size and values.min() < -_HUGE:
+        advice = "mask such cells, or name the value by raster.rio.write_nodata"
+        raise ValueError(f"{name} must be {expected}, got {values.min():g}, which looks like no data: {advice}.")
     return values
+
+
+def _no_data_values(name: str, raster: Any, dtype: np.dtype) -> set[float]:
+    """Return the values of cells without data that a ``DataArray`` names, rounded to the type of its cells.
+
+    ``ValueError`` is raised if attributes state that cells are not scaled yet.
+    """
+    is_stored, is_scaled = (
+        any(number != neutral for key, neutral in _SCALES for number in _numbers(table.get(key)))
+        for table in (raster.attrs, raster.encoding)
+    )
+    if is_stored:
+        advice = "open it with mask_and_scale=True, or delete these attributes if its values are scaled"
+        raise ValueError(f"{name} must have scaled values, got the attributes scale_factor and add_offset: {advice}.")
+    # An encoding describes the file: scaled cells are not comparable with its value.
+    values = [table.get(key) for table in (raster.attrs, {} if is_scaled else raster.encoding) for key in _NO_DATA]
+    with suppress(Exception):  # rioxarray may not be imported
+        values.append(raster.rio.nodata)
+    numbers = {number for value in values for number in _numbers(value)}
+    if dtype.kind != "f":
+        return numbers
+    with np.errstate(over="ignore"):  # cells may have been float32 when the value was written
+        return {dtype.type(number) for number in numbers} | {dtype.type(np.float32(number)) for number in numbers}
+
+
+def _numbers(value: Any) -> list[float]:
+    """Return the numbers of an attribute, which may be a number, text, an array or a tuple."""
+    numbers = []
+    for entry in np.ravel(value):
+        with suppress(TypeError, ValueError):  # None, or text of another kind
+            numbers.append(float(entry))
+    return numbers
 
 
 def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     """Return the box that the cells of a ``DataArray`` fill, and the slices of its rows and columns.
 
-    An array of the raster's values, indexed by the slices, has ascending coordinates along both axes. If coordinates
-    look like degrees, a warning is issued. Error messages call the raster ``name``.
+    An array of the raster's values, indexed by the slices, has ascending coordinates along both axes. Error messages
+    call the raster ``name``.
     """
-    # 1. Check the names and the units of the dimensions.
+    # 1. Check the names of the dimensions, and the grid.
     if len(raster.dims) != 2:
         raise ValueError(f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for one.')
     if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
         raise ValueError(f"{name} must have the dimensions y and x in this order, got {raster.dims}: transpose it.")
-    in_degrees = any(str(axis).lower() in _DEGREES for axis in raster.dims)
-    in_degrees |= any(str(raster[axis].attrs.get("units", "")).startswith("degree") for axis in raster.dims)
-    in_degrees |= any(_is_geographic(coordinate.attrs) for coordinate in raster.coords.values())
-    if in_degrees:
-        advice = "project the raster, with rioxarray by raster.rio.reproject(raster.rio.estimate_utm_crs())"
-        message = f"Coordinates {raster.dims} seem to be degrees, so that lengths are in degrees: {advice}."
-        warnings.warn(message, UserWarning, stacklevel=4)
-    # 2. Along x, then y: coordinates are centers of cells, half a step from their sides.
+    if 0 in raster.shape:
+        raise ValueError(f"{name} must have at least one cell, got shape {raster.shape}.")
+    axes = raster.dims[::-1]
+    tables = (_numbers(str(table.attrs.get("GeoTransform", "")).split()) for table in raster.coords.values())
+    transform = next((table for table in tables if len(table) == 6), None)
+    _, dx, x_skew, _, y_skew, dy = transform or (0, 1, 0, 0, 0, 1)
+    if transform and not all(axis in raster.coords for axis in axes):
+        kind = "rotated" if x_skew or y_skew else "placed by ground control points, or without coordinates"
+        raise ValueError(f"{name} is {kind}: straighten it, with rioxarray by raster.rio.reproject(raster.rio.crs).")
+    # 2. Coordinates are centers of cells. A single row or column has cells of the shape that the file states.
+    coordinates = [as_numbers(f"coordinates {axis!r}", raster[axis].values, "numbers") for axis in axes]
+    sides = np.array([abs(along[-1] - along[0]) / max(len(along) - 1, 1) for along in coordinates])
+    cell = np.abs([dx, dy])
+    sides = np.where(np.array(raster.shape[::-1]) > 1, sides, cell * ((sides / cell).max() or 1.0))
     lo, hi, slices = [], [], []
-    for axis in raster.dims[::-1]:
-        along = as_numbers(f"coordinates {axis!r}", raster[axis].values, "numbers")
-        steps = np.diff(along)
-        side = abs(along[-1] - along[0]) / len(steps) if len(steps) else 1.0
-        if side == 0 or not (np.abs(np.abs(steps) - side) <= _UNEVEN * side).all():
+    for axis, along, side in zip(axes, coordinates, sides, strict=True):
+        if not side > 0 or not (np.abs(along - np.linspace(along[0], along[-1], len(along))) <= _UNEVEN * side).all():
+            steps = np.diff(along)
             spaced = f"got steps from {steps.min():g} to {steps.max():g}"
             raise ValueError(f"coordinates {axis!r} must be evenly spaced, {spaced}.")
         lo.append(along.min() - side / 2)
@@ -71,16 +155,19 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     return Box(lo, hi), (slices[1], slices[0])  # slices of rows (y) come first
 
 
-def _is_geographic(attributes: dict[str, Any]) -> bool:
-    name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))  # the CF conventions
-    return name == "latitude_longitude" or text.startswith("GEOG")
-
-
-def opened(name: str, raster: Any) -> Any:
-    return raster
-
-
 def is_in_degrees(raster: Any) -> bool:
-    in_degrees = any(str(axis).lower() in _DEGREES for axis in raster.dims)
-    in_degrees |= any(str(raster[axis].attrs.get("units", "")).startswith("degree") for axis in raster.dims)
-    return in_degrees or any(_is_geographic(coordinate.attrs) for coordinate in raster.coords.values())
+    """Return whether the coordinates of a ``DataArray`` are degrees of longitude and latitude.
+
+    The units of the coordinates decide; else the first reference system that is found; else the dimensions' names.
+    """
+    if any(str(raster[axis].attrs.get("units", "")).lower().startswith("degree") for axis in raster.dims):
+        return True
+    tables = [*(coordinate.attrs for coordinate in raster.coords.values()), raster.attrs]
+    for text in (str(table[key]) for table in tables for key in _REFERENCES if key in table):
+        if kind := _KIND.search(text):
+            return kind[1] is not None
+        with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
+            import pyproj
+
+            return pyproj.CRS.from_user_input(text).is_geographic
+    return any(str(axis).lower() in _DEGREES for axis in raster.dims)

@@ -1,5 +1,6 @@
 """Cost maps given as rasters, also from ROS: one factor of the motion cost per cell."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import product
@@ -13,7 +14,7 @@ from plr_jax._arrays import as_bool, as_finite, as_numbers, as_points, parts, ra
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._costs import Numbers, Vectors
-from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
+from plr_jax.spaces._data_arrays import data_array_box, is_data_array, is_in_degrees, opened, raster_values
 from plr_jax.spaces._space import as_boxes, batches
 from plr_jax.spaces._voxels import VoxelSpace
 
@@ -57,9 +58,9 @@ class RasterCost:
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
             blocked. An xarray ``DataArray`` of the dimensions y and x may run from north to south, and its no-data
-            cells are blocked.
+            cells are blocked. So may the path of a file that rioxarray reads, such as a GeoTIFF of one band.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers. Leave
-            it out for a ``DataArray``, which has coordinates.
+            it out for a ``DataArray`` or a file, which have coordinates.
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
             half of border cells. ``"nearest"`` is constant in each cell. On a border between cells, it takes the
             upper cell; the method :meth:`bounds` takes both cells.
@@ -70,12 +71,16 @@ class RasterCost:
     interpolation: str
     _lethal: Bool[np.ndarray, "..."]  # the cells that ``inflated`` inflates: of lethal cost in ROS, else blocked
 
-    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike | None = None, interpolation: str = "bilinear"):
-        order = ()
+    def __init__(self, values: Any, bounds: Box | ArrayLike | None = None, interpolation: str = "bilinear"):
+        order, values = (), opened("values", values)
         if is_data_array(values):
             if bounds is not None:
                 raise ValueError("bounds are for arrays, and this DataArray has coordinates: leave the bounds out.")
             bounds, order = data_array_box("values", values)
+            if is_in_degrees(values):
+                advice = "project the raster, with rioxarray by raster.rio.reproject(raster.rio.estimate_utm_crs())"
+                message = f"Coordinates {values.dims} seem to be degrees, so that lengths are in degrees: {advice}."
+                warnings.warn(message, UserWarning, stacklevel=2)
         elif bounds is None:
             raise ValueError("bounds must be the box that the cells fill, got None.")
         domain = Box.of(bounds, "The bounds")

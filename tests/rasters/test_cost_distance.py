@@ -317,17 +317,6 @@ def test_heights_and_masks_need_coordinates_of_costs():
     assert np.isinf(distance.values).tolist() == [[False, False], [False, True]]
 
 
-@pytest.mark.parametrize("by", ["names", "units", "crs"])
-def test_coordinates_in_degrees_warn(by):
-    raster = raster_of(np.ones((2, 2)), [0, 1], [0, 1], dims=("lat", "lon") if by == "names" else ("y", "x"))
-    if by == "units":
-        raster.x.attrs["units"] = "degrees_east"
-    if by == "crs":
-        raster = raster.assign_coords(spatial_ref=((), 0, {"crs_wkt": 'GEOGCS["WGS 84"]'}))
-    with pytest.warns(UserWarning, match="seem to be degrees.* project the raster"):
-        cost_distance(raster, [(0, 0)])
-
-
 def test_own_slope_costs_count_uphill_and_downhill():
     options = {"heights": 2.0 * np.arange(9)[None], "slope_cost": lambda slope: np.where(slope > 0, 3.0, 1.0)}
     for from_sources, expected in ((False, 8), (True, 24)):
