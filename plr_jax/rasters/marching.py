@@ -41,12 +41,10 @@ def march(cost: Raster, side: Sides, points: Points, wraps: bool) -> tuple[Raste
         return least * distance, np.where(np.isfinite(distance), 0, -1)
     label = np.where(start <= level, nearest, -1).astype(np.int32)
     del start, nearest, is_near, at_border
-    rim = (0, 0), (2 * wraps, 2 * wraps)  # the longest step has two columns
-    nearest = _reached_sources(*(np.pad(table, rim, mode="wrap") for table in (distance, cost, label)), side)
-    return least * distance, nearest[:, 2 * wraps : nearest.shape[1] - 2 * wraps]
+    return least * distance, _reached_sources(distance, cost, label, side, wraps)
 
 
-def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides) -> Nearest:
+def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides, wraps: bool) -> Nearest:
     """Return the index of the source that steepest descent of the distance reaches from each cell of a raster.
 
     ``side`` is the width and height of a cell. ``label`` is the source's index where it is known, else -1.
@@ -61,8 +59,11 @@ def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides
     #      . x . x .
     #
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
+    least = np.where(label >= 0, -np.inf, np.inf)  # a cell with a known source has no next cell
+    if wraps:  # the longest step has two columns
+        tables = distance, cost, toward, least
+        distance, cost, toward, least = (np.pad(table, ((0, 0), (2, 2)), mode="wrap") for table in tables)
     index = toward.copy()
-    least = np.where(label >= 0, -np.inf, np.inf)  # a cell with a source has no next cell
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
         row, column = max(-i, 0), max(-j, 0)  # of the first cell from which the step stays in the raster
 
@@ -80,4 +81,5 @@ def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides
     del index, least
     # 2. Follow the next cells. They have smaller distances, so paths end: in cells with a source, or where no next
     #    cell is better.
+    toward = toward[:, 2 * wraps : toward.shape[1] - 2 * wraps]
     return label.ravel()[path_ends(toward.ravel())].reshape(label.shape)

@@ -123,10 +123,20 @@ class SearchGrid:
         here = table[self.middle_row]
         if table.dtype.kind == "i" or not self.above.any():
             return here
-        there = table[np.clip(self.middle_row + np.sign(self.above).astype(int), 0, len(table) - 1)]
-        is_known = np.isfinite(here) & np.isfinite(there)
-        change = np.subtract(there, here, out=np.zeros_like(here), where=is_known)
-        return here + np.abs(self.above)[:, None] * change
+        # Linear between two rows. Where paths from both rows lead away from the middle, to two sides of an obstacle or
+        # to two sources, the distance is the lower one of two continued lines, which is higher:
+        #
+        #      . before   ^           Rows of parts: before, here, there, after. The middle of the cell (^) lies between
+        #      . here    / \          `here` and `there`, `above` rows away from `here`.
+        #      . there     . after
+        #
+        toward, share = np.sign(self.above).astype(int), np.abs(self.above)[:, None]
+        before, there, after = (table[np.clip(self.middle_row + k * toward, 0, len(table) - 1)] for k in (-1, 1, 2))
+        with np.errstate(invalid="ignore"):  # differences of infinite numbers, which comparisons ignore
+            between = here + share * (there - here)
+            continued = np.minimum(here + share * (here - before), there + (1 - share) * (there - after))
+            middle = np.fmax(between, continued)
+        return np.where(np.isfinite(middle), middle, here)
 
     def in_plane(self, points: Points, is_open: Bool[np.ndarray, "rows columns"]) -> Points:
         """Return the places, in the plane of the grid, of points in open cells of the raster.
