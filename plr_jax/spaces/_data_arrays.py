@@ -23,7 +23,7 @@ _SCALES = ("scale_factor", 1.0), ("scales", 1.0), ("add_offset", 0.0), ("offsets
 _REFERENCES = "crs_wkt", "spatial_ref", "crs", "grid_mapping_name"
 # The first such word of a reference system tells its kind: group 1 is geographic, else it is projected.
 _KIND = re.compile(
-    r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=", re.IGNORECASE
+    r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=(?!OB_TRAN)", re.IGNORECASE
 )
 _X_NAMES = {"x", "lon", "longitude", "easting"}
 _Y_NAMES = {"y", "lat", "latitude", "northing"}
@@ -113,7 +113,7 @@ def _numbers(value: Any) -> list[float]:
     """Return the numbers of an attribute, which may be a number, text, an array or a tuple."""
     numbers = []
     for entry in np.ravel(value):
-        with suppress(TypeError, ValueError):  # None, or text of another kind
+        with suppress(TypeError, ValueError, OverflowError):  # None, or text of another kind
             numbers.append(float(entry))
     return numbers
 
@@ -141,11 +141,13 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     # 2. Coordinates are centers of cells. A single row or column has cells of the shape that the file states.
     coordinates = [as_numbers(f"coordinates {axis!r}", raster[axis].values, "numbers") for axis in axes]
     sides = np.array([abs(along[-1] - along[0]) / max(len(along) - 1, 1) for along in coordinates])
-    cell = np.abs([dx, dy])
+    cell = np.abs([dx, dy]) if 0 < abs(dx * dy) < np.inf else np.ones(2)
     sides = np.where(np.array(raster.shape[::-1]) > 1, sides, cell * ((sides / cell).max() or 1.0))
     lo, hi, slices = [], [], []
     for axis, along, side in zip(axes, coordinates, sides, strict=True):
-        if not side > 0 or not (np.abs(along - np.linspace(along[0], along[-1], len(along))) <= _UNEVEN * side).all():
+        if not np.isfinite(along).all():
+            raise ValueError(f"coordinates {axis!r} must be finite, got {along[~np.isfinite(along)][0]}.")
+        if side == 0 or not (np.abs(along - np.linspace(along[0], along[-1], len(along))) <= _UNEVEN * side).all():
             steps = np.diff(along)
             spaced = f"got steps from {steps.min():g} to {steps.max():g}"
             raise ValueError(f"coordinates {axis!r} must be evenly spaced, {spaced}.")
