@@ -1,6 +1,7 @@
 """The command-line application, and the errors, warnings and exit codes that all commands share."""
 
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -8,7 +9,7 @@ from functools import cache
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 import plr_jax
 from plr_jax.cli import BROKEN_PIPE_EXIT, INTERRUPTED_EXIT
@@ -69,9 +70,21 @@ def _options(
     pass
 
 
+class _Command(TyperCommand):
+    """A subcommand. The section "Args" of its function's docstring has the help of its arguments and options."""
+
+    def __init__(self, *arguments: Any, help: str | None, params: list[Any], **options: Any):
+        help, _, entries = (help or "").partition("\n\nArgs:\n")  # `python -OO` drops docstrings
+        # An entry is "    name: text", and its next lines are indented by 8 spaces.
+        texts = dict(re.findall(r"^ {4}(\w+): (.+(?:\n {8}.+)*)", entries, re.MULTILINE))
+        for param in params:
+            param.help = " ".join(texts.get(param.name, "").split())
+        super().__init__(*arguments, help=help, params=params, **options)
+
+
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that registers a function as a subcommand; ``examples`` of its use end the help text."""
-    return app.command(epilog="\n\n".join(["Examples:", *examples]))
+    return app.command(cls=_Command, epilog="\n\n".join(["Examples:", *examples]))
 
 
 def reason_of(error: OSError | ValueError) -> str:

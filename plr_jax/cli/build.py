@@ -21,13 +21,13 @@ def _kinds_of_leaves() -> list[str]:
     return ["best", *leaf_names()]
 
 
-def _map_option(help: str, default: str) -> Any:
+def _map_option(default: str) -> Any:
     """Return a command-line option for an argument of the function that reads the map.
 
     An option that the user does not give is None, and is not passed to that function, so that the function's own
-    default applies. The text ``default`` describes this default in the ``help`` of the option.
+    default applies. The text ``default`` describes this default in the help of the option.
     """
-    return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read")
+    return typer.Option(show_default=default, rich_help_panel="How MAP is read")
 
 
 @command(
@@ -38,76 +38,48 @@ def _map_option(help: str, default: str) -> Any:
     "plr-jax build building.json --goal 0,1.5,2 --leaf cone",
 )
 def build(
-    map: Annotated[
-        str,
-        typer.Argument(
-            metavar="MAP",
-            help=f"A scene ({', '.join(SCENES)}) or a file that plr_jax.scenes.read_workspace reads, such as a "
-            'picture (.png), a map of map_server (.yaml; costs are ignored), or GeoJSON (bounded by its "bbox", or '
-            "else by its polygons). Or a building, as plr_jax.scenes.save_building writes it.",
-            autocompletion=lambda: list(SCENES),
-        ),
-    ],
+    map: Annotated[str, typer.Argument(metavar="MAP", autocompletion=lambda: list(SCENES))],
     goal: Annotated[
         list[str] | None,
-        typer.Option(
-            "--goal",
-            "-g",
-            metavar="X,Y",
-            help="The goal, in a building FLOOR,X,Y; given several times, the nearest of several, such as exits.",
-            show_default="the goal of a scene of one robot",
-        ),
+        typer.Option("--goal", "-g", metavar="X,Y", show_default="the goal of a scene of one robot"),
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The file to write.", show_default="MAP's name with .plr")
-    ] = None,
-    max_bytes: Annotated[int, typer.Option(help="Largest size of the file.")] = DEFAULT_BYTES,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="Stop when the error, in workspace units, is below this: the proven error for planes and cones, the "
-            "sampled error for other leaves."
-        ),
-    ] = None,
-    leaf: Annotated[
-        str,
-        typer.Option(
-            help="Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', "
-            "without jumps of the gradient either; 'cone', the length of paths by way of one corner. 'best' builds "
-            "only cones if --max-bytes is the only limit and has ample room for all corners. Otherwise it builds "
-            "all these kinds, without cones if the corners need far more room, and keeps the smallest proven error.",
-            autocompletion=_kinds_of_leaves,
-        ),
-    ] = "best",
-    leaf_bounds: Annotated[
-        bool,
-        typer.Option(
-            "--leaf-bounds", help="Store proven bounds for every cell, 2 bytes each, not one bound for all."
-        ),
-    ] = False,
-    resolution: Annotated[float | None, _map_option("Side of a pixel of a picture, in workspace units.", "1")] = None,
-    threshold: Annotated[
-        float | None, _map_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
-    ] = None,
-    drop_specks: Annotated[
-        int | None, _map_option("Drop obstacles and free components of at most this many pixels.", "0")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", show_default="MAP's name with .plr")] = None,
+    max_bytes: int = DEFAULT_BYTES,
+    tolerance: float | None = None,
+    leaf: Annotated[str, typer.Option(autocompletion=_kinds_of_leaves)] = "best",
+    leaf_bounds: Annotated[bool, typer.Option("--leaf-bounds")] = False,
+    resolution: Annotated[float | None, _map_option("1")] = None,
+    threshold: Annotated[float | None, _map_option("0.5")] = None,
+    drop_specks: Annotated[int | None, _map_option("0")] = None,
     polygons: Annotated[
-        Literal["obstacles", "free"] | None,
-        _map_option("Whether polygons are obstacles or free space.", "obstacles in GeoJSON, free in .wkt"),
+        Literal["obstacles", "free"] | None, _map_option("obstacles in GeoJSON, free in .wkt")
     ] = None,
-    radius: Annotated[
-        float | None,
-        _map_option(
-            "Radius of a disc robot, in workspace units; distances are for its center. Error bounds are proven for "
-            "the grown obstacles, whose round corners are polygons; outlines of pictures may be off by half a pixel.",
-            "0, a point",
-        ),
-    ] = None,
+    radius: Annotated[float | None, _map_option("0, a point")] = None,
 ) -> None:
     """Compress the exact distance to the nearest goal in a MAP into a small file with a proven error bound.
 
     In pictures, y points up, from the lower edge of the picture.
+
+    Args:
+        map: A scene (maze, thin_maze, floor_plan) or a file that plr_jax.scenes.read_workspace reads, such as a
+            picture (.png), a map of map_server (.yaml; costs are ignored), or GeoJSON (bounded by its "bbox", or else
+            by its polygons). Or a building, as plr_jax.scenes.save_building writes it.
+        goal: The goal, in a building FLOOR,X,Y; given several times, the nearest of several, such as exits.
+        output: The file to write.
+        max_bytes: Largest size of the file.
+        tolerance: Stop when the error, in workspace units, is below this: the proven error for planes and cones, the
+            sampled error for other leaves.
+        leaf: Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', without
+            jumps of the gradient either; 'cone', the length of paths by way of one corner. 'best' builds only cones
+            if --max-bytes is the only limit and has ample room for all corners. Otherwise it builds all these kinds,
+            without cones if the corners need far more room, and keeps the smallest proven error.
+        leaf_bounds: Store proven bounds for every cell, 2 bytes each, not one bound for all.
+        resolution: Side of a pixel of a picture, in workspace units.
+        threshold: Lightness above which a pixel is free, from 0 (black) to 1 (white).
+        drop_specks: Drop obstacles and free components of at most this many pixels.
+        polygons: Whether polygons are obstacles or free space.
+        radius: Radius of a disc robot, in workspace units; distances are for its center. Error bounds are proven for
+            the grown obstacles, whose round corners are polygons; outlines of pictures may be off by half a pixel.
     """
     from plr_jax.plr import ConstructionInterrupted
     from plr_jax.plr.container import MOST_LABEL_BYTES, frame_size

@@ -15,10 +15,9 @@ from jaxtyping import Float
 from plr_jax.cli.app import command, printable
 from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file, read_points
 
-FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A file of a PLR or of pairs.")]
-GoalOption = Annotated[
-    list[str] | None, typer.Option("--goal", "-g", metavar="X,Y", help="The goal, if FILE holds pairs.")
-]
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE")]
+GoalOption = Annotated[list[str] | None, typer.Option("--goal", "-g", metavar="X,Y")]
+OutputOption = Annotated[Path, typer.Option("--output", "-o")]
 
 
 @command(
@@ -30,30 +29,22 @@ GoalOption = Annotated[
 )
 def query(
     file: FileArgument,
-    points: Annotated[
-        str,
-        typer.Argument(
-            metavar="[POINTS.csv | -]",
-            help="Points, x,y in each line, in a building floor,x,y; for pairs both ends, x,y,x,y; - reads standard "
-            "input.",
-        ),
-    ] = "-",
-    bounds: Annotated[
-        bool, typer.Option("--bounds", help="Print distance,lower,upper: the distance and its proven bounds.")
-    ] = False,
-    which: Annotated[
-        bool,
-        typer.Option(
-            "--which",
-            help="Add the index of the nearest of several goals: 0, 1, ...; -1 outside. In a "
-            "building, the next link: 0, 1, ...; -1 to the goal, -2 outside.",
-        ),
-    ] = False,
+    points: Annotated[str, typer.Argument(metavar="[POINTS.csv | -]")] = "-",
+    bounds: Annotated[bool, typer.Option("--bounds")] = False,
+    which: Annotated[bool, typer.Option("--which")] = False,
 ) -> None:
     """Print the distance of each point, one per line: inf outside the domain, nan for a row that is not a point.
 
     Blank lines are skipped; other rows that are not points are reported on standard error. A first line of names is a
     header. Tables may have any length.
+
+    Args:
+        file: A file of a PLR or of pairs.
+        points: Points, x,y in each line, in a building floor,x,y; for pairs both ends, x,y,x,y; - reads standard
+            input.
+        bounds: Print distance,lower,upper: the distance and its proven bounds.
+        which: Add the index of the nearest of several goals: 0, 1, ...; -1 outside. In a building, the next link: 0,
+            1, ...; -1 to the goal, -2 outside.
     """
     from plr_jax._files import errors_named
     from plr_jax.buildings import load_numpy
@@ -99,10 +90,13 @@ def _place_of(rows: Float[np.ndarray, "n 3"], num_floors: int) -> tuple[np.ndarr
 
 
 @command("plr-jax info maze.plr", "plr-jax info maze.plr --json")
-def info(
-    file: FileArgument, json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False
-) -> None:
-    """Print the properties of a file."""
+def info(file: FileArgument, json: Annotated[bool, typer.Option("--json")] = False) -> None:
+    """Print the properties of a file.
+
+    Args:
+        file: A file of a PLR or of pairs.
+        json: Print a JSON object.
+    """
     from plr_jax import load
     from plr_jax._arrays import format_numbers
     from plr_jax.plr import PLR
@@ -128,22 +122,20 @@ def info(
 )
 def plot(
     file: FileArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write: .png, .pdf or .svg.")],
-    map: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MAP",
-            help="Map of walls (not of costs) that are drawn; it is read with the options that FILE was built with.",
-            show_default="the map FILE was built from",
-        ),
-    ] = None,
+    output: OutputOption,
+    map: Annotated[str | None, typer.Option(metavar="MAP", show_default="the map FILE was built from")] = None,
     goal: GoalOption = None,
-    kind: Annotated[
-        Literal["distance", "cells", "error"],
-        typer.Option(help="The distance as colors and contours; the cells; the error, which needs the map."),
-    ] = "distance",
+    kind: Literal["distance", "cells", "error"] = "distance",
 ) -> None:
-    """Draw the distance in a file; for pairs, the distance to a goal."""
+    """Draw the distance in a file; for pairs, the distance to a goal.
+
+    Args:
+        file: A file of a PLR or of pairs.
+        output: The picture to write: .png, .pdf or .svg.
+        map: Map of walls (not of costs) that are drawn; it is read with the options that FILE was built with.
+        goal: The goal, if FILE holds pairs.
+        kind: The distance as colors and contours; the cells; the error, which needs the map.
+    """
     from plr_jax import load, metrics
     from plr_jax import plot as draw
     from plr_jax.plr import PLR
@@ -203,22 +195,23 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
 )
 def export(
     file: FileArgument,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The file to write. Its name begins all names in a header.")
-    ],
+    output: OutputOption,
     goal: GoalOption = None,
-    js: Annotated[
-        bool, typer.Option("--js/--c", help="Write a JavaScript module, or a C99 header, which is also valid C++.")
-    ] = False,
-    compact: Annotated[
-        bool, typer.Option("--compact", help="Write a header for small machines: less memory, slower.")
-    ] = False,
+    js: Annotated[bool, typer.Option("--js/--c")] = False,
+    compact: Annotated[bool, typer.Option("--compact")] = False,
 ) -> None:
     """Write a file as code without dependencies. The code's answers equal those of the command query, bit for bit.
 
     Pairs (a file of distances between any two points) become the distance to one goal, or, in JavaScript without a
     goal, the distance between any two points. Pairs of cells of a grid become a header that gives the number of steps
     between any two cells; it reads a file of tables, which is written beside it.
+
+    Args:
+        file: A file of a PLR or of pairs.
+        output: The file to write. Its name begins all names in a header.
+        goal: The goal, if FILE holds pairs.
+        js: Write a JavaScript module, or a C99 header, which is also valid C++.
+        compact: Write a header for small machines: less memory, slower.
     """
     from plr_jax import load
     from plr_jax._files import write_atomically
@@ -251,19 +244,16 @@ def export(
 @command("plr-jax view maze.plr", "plr-jax view maze.plr maze -o page.html", "plr-jax view maze.pairs")
 def view(
     file: FileArgument,
-    map: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[MAP]",
-            help="Map whose obstacles are drawn, as --map of plot; pairs have their own.",
-            show_default="the map FILE was built from",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html")
-    ] = None,
+    map: Annotated[str | None, typer.Argument(metavar="[MAP]", show_default="the map FILE was built from")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", show_default="FILE's name with .html")] = None,
 ) -> None:
-    """Write an interactive web page that shows the distance in a file at the mouse pointer, and needs no network."""
+    """Write an interactive web page that shows the distance in a file at the mouse pointer, and needs no network.
+
+    Args:
+        file: A file of a PLR or of pairs.
+        map: Map whose obstacles are drawn, as --map of plot; pairs have their own.
+        output: The page to write.
+    """
     from plr_jax import load
     from plr_jax.plot import page
     from plr_jax.plr import PLR
@@ -279,10 +269,12 @@ def view(
 
 
 @command("plr-jax demo --output pictures")
-def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("plr_jax_demo"),
-) -> None:
-    """Compress a maze, compare it with the exact distance, and draw it; plan for four robots."""
+def demo(output: OutputOption = Path("plr_jax_demo")) -> None:
+    """Compress a maze, compare it with the exact distance, and draw it; plan for four robots.
+
+    Args:
+        output: Folder to write to.
+    """
     from plr_jax.cli.demo import run
 
     run(output)

@@ -23,34 +23,26 @@ _TEAM_SCENES = ("single_door", *_DEFAULT_ROBOTS, "tangle", *SCENES)
     "plr-jax plan four_rooms --robots 3 --cost-factor 1.02 --time-limit 10",
 )
 def plan(
-    scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help=f"A scene ({', '.join(_TEAM_SCENES)}), or a scene file (.json).")
-    ],
-    robots: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of robots: 2, 3, 4 or 8 in four_rooms, 2 or 3 in cross.",
-            show_default="4 in four_rooms, 2 in cross",
-        ),
-    ] = None,
-    cost_factor: Annotated[
-        float,
-        typer.Option(
-            help="Keep searching while the cost exceeds this multiple of the lower bound.",
-            show_default="stop at the first path",
-        ),
-    ] = math.inf,
-    time_limit: Annotated[float, typer.Option(help="Time limit of planning, in seconds.")] = 60.0,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help='Write the solution as JSON; "path" has shape (steps, robots, dof).'),
-    ] = None,
-    animation: Annotated[Path | None, typer.Option(help="Write an animation of the path: .gif or .html.")] = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw the path: .png, .pdf or .svg.")] = None,
+    scene: Annotated[str, typer.Argument(metavar="SCENE")],
+    robots: Annotated[int | None, typer.Option(show_default="4 in four_rooms, 2 in cross")] = None,
+    cost_factor: Annotated[float, typer.Option(show_default="stop at the first path")] = math.inf,
+    time_limit: float = 60.0,
+    output: Annotated[Path | None, typer.Option("--output", "-o")] = None,
+    animation: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Plan for all robots of a SCENE at once, check the path, and report.
 
     Exit code 1: no path was found.
+
+    Args:
+        scene: A scene (single_door, four_rooms, cross, tangle, maze, thin_maze, floor_plan), or a scene file (.json).
+        robots: Number of robots: 2, 3, 4 or 8 in four_rooms, 2 or 3 in cross.
+        cost_factor: Keep searching while the cost exceeds this multiple of the lower bound.
+        time_limit: Time limit of planning, in seconds.
+        output: Write the solution as JSON; "path" has shape (steps, robots, dof).
+        animation: Write an animation of the path: .gif or .html.
+        picture: Draw the path: .png, .pdf or .svg.
     """
     from plr_jax import BLOptions, Status
     from plr_jax import plot as draw

@@ -10,6 +10,8 @@ from PIL import Image
 
 import plr_jax
 from plr_jax import Box, VisibilityGraph, construct, load, save, scenes
+from plr_jax.cli.inputs import SCENES
+from plr_jax.cli.plan import _TEAM_SCENES
 from plr_jax.plr import ConstructionInterrupted
 
 GOAL, NUM_OBSTACLES = [0.06, 0.07], 6  # of the maze
@@ -156,6 +158,12 @@ def test_help_has_examples_and_choices():
     for command in ([], ["build"], ["query"], ["export"], ["view"], ["info"], ["plot"], ["plan"], ["demo"]):
         assert f"plr-jax {command[0] if command else 'demo'}" in done(*command, "--help")
     assert done("--version") == f"plr-jax {plr_jax.__version__}\n"
+
+
+@pytest.mark.parametrize(("command", "names"), [("build", SCENES), ("plan", _TEAM_SCENES)])
+def test_help_lists_all_scenes(command, names):
+    words = done(command, "--help").replace("│", " ").split()
+    assert f"A scene ({', '.join(names)})" in " ".join(words)
 
 
 @pytest.mark.parametrize(("kind", "goal"), [("distance", GOAL), ("cells", None), ("error", GOAL)])
