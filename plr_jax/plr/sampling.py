@@ -121,6 +121,7 @@ def lattice(num_points: int, shift: Float[np.ndarray, " dim"]) -> Float[np.ndarr
 # slopes if samples are spread evenly, so it changes such a fit by less than 1e-8.
 _RIDGE = 1e-9
 OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
+OfTerms: TypeAlias = Float[np.ndarray, "cells terms"]
 Planes: TypeAlias = tuple[Float[np.ndarray, " cells"], Float[np.ndarray, "cells dim"]]
 FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
 """Function that fits planes, called like :func:`least_squares`."""
@@ -148,9 +149,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     return plane[:, 0], plane[:, 1:]
 
 
-def solve_planes(
-    design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: Float[np.ndarray, "cells terms"]
-) -> Float[np.ndarray, "cells terms"]:
+def solve_planes(design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: OfTerms) -> OfTerms:
     # Solve the normal equations of each cell, (D' W D + ridge) plane = projection = D' W value, with the design D and
     # the diagonal matrix W of the weights. The first column of D is 1. If all weights are 0, so is the plane.
     k, terms = design.shape

@@ -20,7 +20,7 @@ from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, Corner, table_corners
-from plr_jax.plr.growth import Encoding, Limits, Nodes, grow_best_first, largest_error, nodes_of_fit
+from plr_jax.plr.growth import Encoding, Limits, Nodes, Priorities, grow_best_first, largest_error, nodes_of_fit
 from plr_jax.plr.leaves import base
 from plr_jax.plr.leaves.base import Coefficients, Parameters
 from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
@@ -144,15 +144,15 @@ class IndependentLeafModel(base.LinearLeafModel):
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
         # 1. Nodes of the tree are cells with functions and priorities: proven errors if possible, else the rule's.
-        def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
+        def nodes_of(fit: CellFit, parent_key: Priorities) -> Nodes:
             fit, coefficients = self.fit_functions(fill_unsampled_planes(fit, sampler))
             if by_proof and sampler.cache is not None:
                 finite = np.where(np.isfinite(coefficients), coefficients, 0.0)
                 functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), finite)
                 priority = functions.largest_errors(sampler.cache.sources(fit.cells))
             else:
-                priority = np.asarray(rules.should_split(fit), float)
-            return nodes_of_fit(fit, coefficients, parent_key, priority, np.asarray(rules.split(fit)), limits)
+                priority = rules.should_split(fit)
+            return nodes_of_fit(fit, coefficients, parent_key, priority, rules.split(fit), limits)
 
         # 2. The bits per value decide the size of a file and its rounding errors. The error of a coefficient has the
         # variance step**2 / 12, and each but the first is multiplied by a function. For planes, this is a coordinate

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources, Reach
@@ -59,23 +59,12 @@ class ConeBoxes(Rows):
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
-    def new_halves(
-        self, parent: Halves, axis: Halves, is_upper: Bool[np.ndarray, " halves"], known: UInt64[np.ndarray, " known"]
-    ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
-        """Halve boxes, and compute the halves that are not known yet, in the order of their first appearance.
-
-        Half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``. ``known`` are hashes of the
-        known boxes. Return the new halves, their hashes, and the hashes of all halves. Two boxes may share a half:
-        the upper half of a left half is the left half of an upper half.
-        """
+    def halves(self, parent: Halves, axis: Halves, is_upper: Bool[np.ndarray, " halves"]) -> "ConeBoxes":
+        """Return halves of boxes: half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``."""
         cells = self.cells[parent].halves(axis, is_upper)
-        lo, hi = cells.grown_boxes(self.domain)
-        key = cells.hashes()
-        _, first_with_key = np.unique(key, return_index=True)
-        new = np.sort(first_with_key[~np.isin(key[first_with_key], known)])
-        visible = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
-        boxes = fit_boxes(self.domain, self.negligible, cells[new], visible, self.reach)
-        return replace(boxes, by_side=self.by_side), key[new], key
+        visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
+        boxes = fit_boxes(self.domain, self.negligible, cells, visible, self.reach)
+        return replace(boxes, by_side=self.by_side)
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
