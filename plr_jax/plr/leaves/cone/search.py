@@ -19,7 +19,7 @@ from plr_jax._types import CellSources, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import BoxLevel, Halves, PricedTree, PriceSearch
-from plr_jax.plr.certificate import Proof, bounds_of_pieces
+from plr_jax.plr.certificate import Bounds, Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
@@ -28,6 +28,8 @@ from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 _MOST_TRIED = 4
 """Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
+Indices: TypeAlias = Int[np.ndarray, " options"]
+"""An index for each option, a pair of a box and a source: of the box (or its first sample), or of the source."""
 LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
 """The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
 
@@ -130,9 +132,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
     return np.where(is_sole, first_source, -1)
 
 
-def option_errors(
-    visible: CellSources, box: Int[np.ndarray, " options"], source: Int[np.ndarray, " options"]
-) -> tuple[Float[np.ndarray, " options"], Float[np.ndarray, " options"]]:
+def option_errors(visible: CellSources, box: Indices, source: Indices) -> Bounds:
     """Return bounds of the largest error, and of the error's integral, of cone ``source[i]`` in box ``box[i]``.
 
     The boxes are the cells of ``visible``. Integrals are over the free space of the box, in workspace units cubed.
@@ -154,7 +154,7 @@ def option_errors(
 # If a wall hides a leaf's source from a point, the distance there is larger than the cone. So samples above the cone
 # show where the source is hidden.
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
-LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
+SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 ROOM = 64  # one byte in this many of a file is reserved for changes to visible sources
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
@@ -165,8 +165,8 @@ class LeafOptions(NamedTuple):
     A leaf has candidates if a wall may hide its present source (a corner or the goal) from a part of the leaf.
     """
 
-    leaf: Int[np.ndarray, " options"]
-    source: Int[np.ndarray, " options"]
+    leaf: Indices
+    source: Indices
     by_all: Bool[np.ndarray, " options"]  # whether all of the leaf sees the source
     error: Float[np.ndarray, " options"]  # mean error over the leaf, at samples
     hidden: Float[np.ndarray, " options"]  # share of the leaf from which a wall hides the source
@@ -219,7 +219,7 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     cone = sources.distances[source, None] + np.linalg.norm(x[row] - sources.points[source, None], axis=2)
     above = np.where(np.isfinite(distance), distance, 0.0)[row] - cone
     error = np.sum(weight[row] * np.abs(above), axis=1)
-    hidden = np.sum(weight[row] * (above > LEAST_SHORTFALL * float(boxes.domain.width.max())), axis=1)
+    hidden = np.sum(weight[row] * (above > SHORTFALL * float(boxes.domain.width.max())), axis=1)
     # 4. Proven bounds of the errors, and free area.
     largest, integral = option_errors(visible, row, source)
     area = np.bincount(visible.cell, areas(visible.pieces), len(chosen)).astype(np.float64)[row]
