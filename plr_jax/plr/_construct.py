@@ -327,7 +327,8 @@ def build_best_model(
     that needs the fewest bytes; if no error states this number, raise the first error.
     """
     # 1. Build the models. An interrupt ends a build with a warning and what was built so far; it also ends this loop.
-    best, least_error = None, math.inf
+    built: dict[str, DecodedFile] = {}
+    errors: dict[str, float] = {}
     refused: list[ValueError] = []
     is_interrupted = False
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
@@ -337,7 +338,7 @@ def build_best_model(
                 try:
                     with warnings.catch_warnings(record=True) as caught:
                         warnings.simplefilter("always", ConstructionInterrupted)
-                        contents = build(name)
+                        built[name] = build(name)
                 except ValueError as refusal:  # for example, a budget too small for one leaf
                     refused.append(refusal)
                     continue
@@ -346,22 +347,19 @@ def build_best_model(
                         is_interrupted = True
                     else:
                         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-                best = best or contents
-                error = error_of(contents) if len(names) > 1 else 0.0
-                if error < least_error:
-                    best, least_error = contents, error
+                errors[name] = error_of(built[name]) if len(names) > 1 else 0.0
                 if is_interrupted:
                     break
         except KeyboardInterrupt:
-            if best is None:
+            if not built:
                 raise
             is_interrupted = True
     # 2. Return the best one.
-    if best is None:
+    if not built:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
     if is_interrupted:
         warnings.warn("Interrupted: the PLR is the best one built so far.", ConstructionInterrupted, stacklevel=3)
-    return best
+    return built[min(built, key=lambda name: errors.get(name, math.inf))]
 
 
 def _models_to_try(

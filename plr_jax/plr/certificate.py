@@ -14,6 +14,7 @@ from plr_jax._types import CellSources
 from plr_jax.plr.bound_classes import CODE_BITS, classify_bounds, read_classes, requantize_bounds, write_classes
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
+from plr_jax.plr.tree import Rows
 
 Bounds: TypeAlias = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 ConeBoundsFn: TypeAlias = Callable[..., Bounds]
@@ -54,7 +55,7 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 
 @dataclass(frozen=True, eq=False)
-class LeafFunctions:
+class LeafFunctions(Rows):
     """The functions of several leaves; leaf ``i`` is the box from ``lo[i]`` to ``hi[i]``.
 
     ``coefficients`` are those of the leaf model ``model``.
@@ -76,9 +77,7 @@ class LeafFunctions:
         """
 
         def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
-            rows = leaf[row]
-            functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
-            return self.model.cone_minus_leaf_bounds(*functions, pieces, apex, offset)
+            return self.model.cone_minus_leaf_bounds(self[leaf[row]], pieces, apex, offset)
 
         return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 

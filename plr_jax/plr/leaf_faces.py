@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
+from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -164,17 +164,15 @@ _TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells
 
 
 def neighbor_of_largest_contact(
-    cells: Cells, unreachable: Int[np.ndarray, " m"], reachable: Int[np.ndarray, " n"], periodic: tuple[bool, ...]
+    tree: Tree, unreachable: Int[np.ndarray, " m"], reachable: Int[np.ndarray, " n"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, " m"]:
     """For each leaf in ``unreachable``, find the leaf in ``reachable`` with which it shares the largest face.
 
     A shared edge or corner counts as a tiny face. Leaves are indices; the result is -1 if no reachable leaf touches
     the leaf.
     """
-    tree = tree_of(cells)
-    leaf_of_cell = np.argsort(tree.order)  # inverse permutation of `order`, the index in `cells` of each leaf
-    pairs = tree.order[touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)]
-    borrower, donor = pairs  # an unreachable and a reachable cell
+    cells = tree.leaves
+    borrower, donor = pairs = touching_leaves(tree, unreachable, reachable, periodic)
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
     order = np.lexsort((-donor, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor_of = np.full(len(cells), -1)

@@ -59,9 +59,7 @@ class TableStack:
 
 
 @jax.jit
-def _evaluate(
-    tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n _"], ...]
-) -> tuple[Float[Array, " n"], ...]:
+def _evaluate(tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n _"], ...]) -> tuple[Array, ...]:
     # One array for each robot, since XLA would compute a single array in one slower loop.
     return tuple(
         evaluate_tables(table, x) if band is None else bounds_of_tables(table, band, x)[0]

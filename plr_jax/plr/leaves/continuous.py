@@ -22,7 +22,7 @@ from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits, check_memory, checked_axes, checked_priorities, grow, is_within_depth
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.leaves.base import MAX_TIED_DIM, UNIT, Coefficients, PolynomialLeafModel, Rules, read_step
-from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
+from plr_jax.plr.sampling import CellFit, OfSamples, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 
 if TYPE_CHECKING:
@@ -316,9 +316,7 @@ class _Rounds:
             step *= 2 ** max(excess, 0.01)
 
 
-def fit_values(
-    order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> tuple[Float[np.ndarray, " free_dofs"], Float[np.ndarray, "leaves k"]]:
+def fit_values(order: int, space: NodalSpace, fit: CellFit, weight: OfSamples) -> tuple[Distances, OfSamples]:
     """Fit a finite-element function to the samples of leaves by weighted least squares.
 
     ``order`` is 0 for multilinear and 1 for cubic functions; ``weight`` has the weight of each sample. Return the

@@ -17,7 +17,7 @@ from plr_jax._arrays import sum_of_columns
 from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.certificate import LeafFunctions, Proof
+from plr_jax.plr.certificate import Bounds, LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, Corner, table_corners
 from plr_jax.plr.growth import Encoding, Limits, Nodes, Priorities, grow_best_first, largest_error, nodes_of_fit
@@ -261,10 +261,10 @@ class Plane(IndependentLeafModel):
         return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
     def cone_minus_leaf_bounds(
-        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
-    ) -> tuple[Distances, Distances]:
-        slope = coefficients[:, 1:] * 2 / (hi - lo)
-        intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
+        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
+    ) -> Bounds:
+        slope = leaves.coefficients[:, 1:] * 2 / (leaves.hi - leaves.lo)
+        intercept = leaves.coefficients[:, 0] - (slope * (leaves.lo + leaves.hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:

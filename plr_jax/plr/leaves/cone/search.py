@@ -22,7 +22,7 @@ from plr_jax.plr.best_partition import BoxLevel, Halves, PricedTree, PriceSearch
 from plr_jax.plr.certificate import Bounds, Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
-from plr_jax.plr.sampling import Pattern
+from plr_jax.plr.sampling import Pattern, Sampler
 from plr_jax.plr.source_cache import distances_in_cells
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
@@ -32,6 +32,7 @@ Indices: TypeAlias = Int[np.ndarray, " options"]
 """An index for each option, a pair of a box and a source: of the box (or its first sample), or of the source."""
 LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
 """The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
+FitsFn: TypeAlias = Callable[[LeafSources], bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +227,7 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     return LeafOptions(box, source, by_all, error, hidden, largest, integral, area)
 
 
-def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
+def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: FitsFn) -> LeafSources:
     """Choose a source for each leaf: where possible, a source that all of the leaf sees.
 
     ``boxes`` are the leaves with their present sources. The largest proven error of all leaves does not rise.
@@ -237,9 +238,7 @@ def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[L
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
 
 
-def change_sources(
-    source: LeafSources, options: LeafOptions, total: float, most: float, fits: Callable[[LeafSources], bool]
-) -> LeafSources:
+def change_sources(source: LeafSources, options: LeafOptions, total: float, most: float, fits: FitsFn) -> LeafSources:
     """Replace the ``source`` of some leaves by a source that walls hide from less of the leaf; return all sources.
 
     ``fits(sources)`` tells whether the file of leaves with these sources is within its limits; if not all changes
@@ -276,19 +275,19 @@ def change_sources(
 
 
 def best_cones_of_goal(
-    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, reach: Reach | None
+    visible: CellSources, sampler: Sampler, limits: Limits
 ) -> tuple[Tree, StoredCones, CellSources]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
-    ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. Return the tree, its leaves as in a file, and the sources to which paths from each leaf may
+    ``visible`` has the whole domain as its only cell. Samples of ``sampler.pattern`` in a leaf show from where walls
+    hide its source. Return the tree, its leaves as in a file, and the sources to which paths from each leaf may
     go first.
     """
     # 1. Start from the domain as the only box.
     negligible = max(limits.tolerance, query_resolution(visible.distance))
-    root = fit_boxes(domain, negligible, Cells.root(2), visible, reach)
+    root = fit_boxes(sampler.domain, negligible, Cells.root(2), visible, sampler.reach)
     root = replace(root, by_side=limits.proof is Proof.NONE)
-    files = ConeFiles(visible.sources, domain)
+    files = ConeFiles(visible.sources, sampler.domain)
 
     def in_order(levels: list[BoxLevel], priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
         # The tree, in the canonical form of files, and the number of each leaf's box, as in `boxes_of_levels`.
@@ -306,5 +305,5 @@ def best_cones_of_goal(
     tree, number = in_order(search.levels, grow(search.first(), search.next, limits))
     # 3. Change sources of leaves.
     boxes = boxes_of_levels([level.boxes for level in search.levels], number)
-    source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
+    source = prefer_visible_sources(boxes, sampler.pattern, partial(files.fit, limits))
     return tree, files.stored(source), boxes.visible
