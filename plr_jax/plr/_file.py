@@ -92,7 +92,7 @@ def decode(data: bytes) -> DecodedFile:
     # 2. The proof, then goals and cut-off leaves, if the header says so.
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
-    certificate, straight = proofs.read_proof(body, Proof(layer.proof_code), len(cells), cells.dim)
+    certificate, straight = proofs.read_proof(body, Proof(layer.proof_code), cells)
     if container.names_goals:
         if not isinstance(leaf, Cone):
             raise ValueError("it names goals, but its leaves have no sources")

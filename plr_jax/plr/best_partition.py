@@ -232,8 +232,7 @@ class PriceSearch:
 
     def first(self) -> PricedTree:
         """Return the tree whose only leaf is the root; raise :class:`BudgetTooSmall` if its file is too large."""
-        price = float(self.levels[0].costs(1.0)[0])
-        tree = self._tree(price, 1.0)
+        tree = self._tree(float(self.levels[0].costs(1.0)[0]), 1.0)
         self._limits.require_room(tree.num_bytes)
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 

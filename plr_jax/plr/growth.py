@@ -9,7 +9,7 @@ import os
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Sequence, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -290,7 +290,7 @@ def fit_nodes(sampler: Sampler, nodes_of: NodesOf, cells: Cells, parent_key: Pri
         # Two patterns cannot share a CellFit: make the nodes of each, then restore the order of the cells.
         for is_dense in (False, True):
             if len(rows := np.flatnonzero(fit.is_hardly_seen == is_dense)):
-                of_rows = sampler.sample_densely(fit.cells[rows]) if is_dense else fit[rows]
+                of_rows = replace(sampler, pattern=sampler.dense_pattern)(fit.cells[rows]) if is_dense else fit[rows]
                 nodes.append(nodes_of(of_rows, parent_key[begin + rows]))
                 order.append(begin + rows)
     return nodes[0].append(*nodes[1:])[np.argsort(np.concatenate(order))]

@@ -276,9 +276,6 @@ class Sampler:
             axis[coarse] = np.maximum(axis[coarse], urgent_axes(cells[coarse], holds, self.max_axis_depth))
         return axis
 
-    def sample_densely(self, cells: Cells) -> CellFit:
-        return replace(self, pattern=self.dense_pattern)(cells)
-
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
 
@@ -443,6 +440,10 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
         raise ValueError(f"compute_coefficients must return {expected} along each axis of each cell, {got}.")
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
+
+
+def folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
+    return call_oracle(distance_fn, folding.unfold(z))
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, " n"]:

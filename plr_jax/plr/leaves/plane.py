@@ -257,8 +257,7 @@ class Plane(IndependentLeafModel):
         # Value at the corner, and slopes: center value + slope . (x - center), as value + slope . (x - corner).
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
-        to_center = (lo + hi) / 2 - corner
-        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
+        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * ((lo + hi) / 2 - corner)), slope])
 
     def cone_minus_leaf_bounds(
         self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances

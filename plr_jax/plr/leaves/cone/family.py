@@ -190,8 +190,7 @@ def option_errors(
     """
     # With the sample x and the source s:  above = distance(x) - (distance(s) + |x - s|),    error = |above|.
     result = np.zeros((3, len(start)))
-    at_once = max(1, _AT_ONCE // len(offset))
-    for batch in slices(len(start), at_once):
+    for batch in slices(len(start), max(1, _AT_ONCE // len(offset))):
         x, y, distance, weight = np.moveaxis(goal.table[start[batch, None] + offset], 2, 0)
         apex = goal.sources.points[source[batch]]
         dx, dy = x - apex[:, :1], y - apex[:, 1:]

@@ -66,8 +66,7 @@ class ConeBoxes(Rows):
         """Return halves of boxes: half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``."""
         cells = self.cells[parent].halves(axis, is_upper)
         visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
-        boxes = fit_boxes(self.domain, self.negligible, cells, visible, self.reach)
-        return replace(boxes, by_side=self.by_side)
+        return replace(fit_boxes(self.domain, self.negligible, cells, visible, self.reach), by_side=self.by_side)
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
