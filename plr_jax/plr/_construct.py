@@ -12,13 +12,13 @@ import numpy as np
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
-from plr_jax._types import ArrayLike, CellSources, DistanceFn, Distances, NearestFn, Points, Reach
+from plr_jax._types import ArrayLike, CellSources, DistanceFn, NearestFn, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.plr import sampling
 from plr_jax.plr._file import DecodedFile, certificates_of, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.folding import Folding, folding_of
+from plr_jax.plr.folding import folding_of
 from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import Cone, leaf_model
@@ -246,7 +246,7 @@ def _build_leaves(
         distance_fn = sampling.ParallelOracle(distance_fn, options.executor)
     if folding is not None:
         domain, weight_fn = folding.box, partial(sampling.folded_weights, weight_fn, folding)
-        distance_fn = partial(_folded_distances, distance_fn, folding)
+        distance_fn = partial(sampling.folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
     rule = options.compute_coefficients
@@ -271,10 +271,6 @@ def _build_leaves(
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     return contents
-
-
-def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
-    return sampling.call_oracle(distance_fn, folding.unfold(z))
 
 
 def proof_of(certified: bool | str) -> Proof:
@@ -327,7 +323,8 @@ def build_best_model(
     that needs the fewest bytes; if no error states this number, raise the first error.
     """
     # 1. Build the models. An interrupt ends a build with a warning and what was built so far; it also ends this loop.
-    best, least_error = None, math.inf
+    built: dict[str, DecodedFile] = {}
+    errors: dict[str, float] = {}
     refused: list[ValueError] = []
     is_interrupted = False
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
@@ -337,7 +334,7 @@ def build_best_model(
                 try:
                     with warnings.catch_warnings(record=True) as caught:
                         warnings.simplefilter("always", ConstructionInterrupted)
-                        contents = build(name)
+                        built[name] = build(name)
                 except ValueError as refusal:  # for example, a budget too small for one leaf
                     refused.append(refusal)
                     continue
@@ -346,22 +343,19 @@ def build_best_model(
                         is_interrupted = True
                     else:
                         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-                best = best or contents
-                error = error_of(contents) if len(names) > 1 else 0.0
-                if error < least_error:
-                    best, least_error = contents, error
+                errors[name] = error_of(built[name]) if len(names) > 1 else 0.0
                 if is_interrupted:
                     break
         except KeyboardInterrupt:
-            if best is None:
+            if not built:
                 raise
             is_interrupted = True
     # 2. Return the best one.
-    if best is None:
+    if not built:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
     if is_interrupted:
         warnings.warn("Interrupted: the PLR is the best one built so far.", ConstructionInterrupted, stacklevel=3)
-    return best
+    return built[min(built, key=lambda name: errors.get(name, math.inf))]
 
 
 def _models_to_try(
@@ -444,12 +438,10 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], Cell
     The domain must be in the plane, without periodic axes, and the oracle must answer for whole cells (see
     :func:`certify`).
     """
-    advice = "Build the PLR without a proof and measure its error"
+    hint = "Build the PLR without a proof and measure its error"
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
-        needed = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
-        raise ValueError(
-            f"A proof needs {needed}, got a {type(oracle).__name__} in {domain.dim} dimensions. {advice}."
-        )
+        need = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
+        raise ValueError(f"A proof needs {need}, got a {type(oracle).__name__} in {domain.dim} dimensions. {hint}.")
     if domain.is_periodic:
-        raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {advice}.")
+        raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {hint}.")
     return cell_sources

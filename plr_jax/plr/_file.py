@@ -92,7 +92,7 @@ def decode(data: bytes) -> DecodedFile:
     # 2. The proof, then goals and cut-off leaves, if the header says so.
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
-    certificate, straight = proofs.read_proof(body, Proof(layer.proof_code), len(cells), cells.dim)
+    certificate, straight = proofs.read_proof(body, Proof(layer.proof_code), cells)
     if container.names_goals:
         if not isinstance(leaf, Cone):
             raise ValueError("it names goals, but its leaves have no sources")
@@ -141,7 +141,7 @@ def filled_coefficients(contents: DecodedFile, given: Coefficients | None = None
         # 2. The neighbor, or donor, shares the largest face, edge or corner. Not all leaves have one.
         borrower = np.flatnonzero(unreachable)
         reachable = np.flatnonzero(np.isfinite(coefficients[:, 0]))
-        donor = neighbor_of_largest_contact(cells, borrower, reachable, periodic)
+        donor = neighbor_of_largest_contact(contents.tree, borrower, reachable, periodic)
         borrower, donor = borrower[donor >= 0], donor[donor >= 0]
         # 3. The donor's plane rises by `half` from its center to its side. At the borrower's center, `along` half
         #    widths of the donor away, it is center + half . along. The borrower is `widths` times as wide as the

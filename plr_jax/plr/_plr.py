@@ -254,11 +254,10 @@ class PLR(FileBacked):
             goal = np.full(len(x), -1)
             goal[is_finite] = self.nearest_goal(x[is_finite])
             return goal
-        goals = require_goals(self.goals)
         if (reader := self._reader_of_few(x)) is not None:
             return reader.which(x)
         tables, x = self.tables_and_points(x)
-        return np.asarray(goals_of_points(tables, goals, x), np.int64)
+        return np.asarray(goals_of_points(tables, require_goals(self.goals), x), np.int64)
 
     def numpy(self) -> NumpyPLR:
         """Return the PLR as a :class:`NumpyPLR`, which needs no JAX and is fast for single points."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import index_of, slices
+from plr_jax._arrays import batches, index_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import leaf_order
@@ -35,20 +35,16 @@ BOXES_PER_BATCH = 1 << 14
 UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 
-@dataclass(eq=False)
 class BoxLevel:
     """The boxes computed so far on one level, that is, after a certain number of halvings of the domain.
 
     ``child[axis, half, i]`` is the index, in the next level, of the lower (0) or upper (1) half of box ``i``.
     """
 
-    boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
-    key: UInt64[np.ndarray, " boxes"]  # hash of each box
-    child: Int[np.ndarray, "2 2 boxes"]  # halves in the next level by axis, half and box, or UNKNOWN
-
-    @staticmethod
-    def of(boxes: Any, key: UInt64[np.ndarray, " boxes"]) -> "BoxLevel":
-        return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
+    def __init__(self, boxes: Any) -> None:
+        self.boxes = boxes  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
+        self.key = boxes.cells.hashes()  # of each box
+        self.child = np.full((2, 2, len(self.key)), UNKNOWN)  # halves in the next level by axis, half and box
 
     def costs(self, weight: float) -> Float[np.ndarray, " boxes"]:
         """Return each box's cost as a leaf: the integral of its error plus ``weight`` times its largest error."""
@@ -66,10 +62,11 @@ class BoxLevel:
         most = np.where(is_peaked, _MAX_ASPECT_BITS_OF_PEAKS, MAX_ASPECT_BITS)
         return shallow & (depth - depth.min(axis=0) < most) & (self.child[:, 0] == UNKNOWN)
 
-    def append(self, boxes: Any, key: UInt64[np.ndarray, " new"]) -> None:
+    def append(self, boxes: Any) -> None:
+        new = BoxLevel(boxes)
         self.boxes = self.boxes.append(boxes)
-        self.key = np.concatenate([self.key, key])
-        self.child = np.concatenate([self.child, np.full((2, 2, len(key)), UNKNOWN)], axis=2)
+        self.key = np.append(self.key, new.key)
+        self.child = np.append(self.child, new.child, axis=2)
 
 
 class TreeCosts(NamedTuple):
@@ -162,21 +159,17 @@ def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves
     for each halving: the first for the lower half, the second for the upper half.
     """
     level = levels[depth]
-    is_upper = np.arange(len(parent)) % 2 == 1
-    # Halves of several parents may be one box: sorted by hash, equal ones are computed in one batch or known to the
-    # next.
-    order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
-    parent, axis, is_upper = parent[order], axis[order], is_upper[order]
-    for batch in slices(len(parent), BOXES_PER_BATCH):
-        known_keys = levels[depth + 1].key if depth + 1 < len(levels) else np.zeros(0, np.uint64)
-        boxes, key, of_half = level.boxes.new_halves(parent[batch], axis[batch], is_upper[batch], known_keys)
-        if not len(known_keys):
-            levels.append(BoxLevel.of(boxes, key))
-        elif len(key):
-            levels[depth + 1].append(boxes, key)
-        # Let the parents refer to their halves, which the next level now has.
-        place = index_of(levels[depth + 1].key, of_half)
-        level.child[axis[batch], is_upper[batch].astype(int), parent[batch]] = place
+    if depth + 1 == len(levels):
+        levels.append(BoxLevel(level.boxes[np.zeros(0, np.int64)]))
+    below, is_upper = levels[depth + 1], np.arange(len(parent)) % 2 == 1
+    # Two boxes may share a half: the upper half of a left half is the left half of an upper half. Compute the new
+    # halves once, in the order of their hashes.
+    of_half = level.boxes.cells[parent].halves(axis, is_upper).hashes()
+    key, first_with_key = np.unique(of_half, return_index=True)
+    for new in batches(first_with_key[~np.isin(key, below.key)], BOXES_PER_BATCH):
+        below.append(level.boxes.halves(parent[new], axis[new], is_upper[new]))
+    # Let the parents refer to their halves, which the next level now has.
+    level.child[axis, is_upper.astype(int), parent] = index_of(below.key, of_half)
 
 
 # How prices are chosen. A round multiplies the price by a factor from _LARGEST_DROP to _SMALLEST_DROP.
@@ -234,13 +227,12 @@ class PriceSearch:
 
     def __init__(self, root: Any, limits: Limits, size: SizeFn, num_sources: int = 0) -> None:
         self._limits, self._size, self._num_sources = limits, size, num_sources
-        self.levels = [BoxLevel.of(root, root.cells.hashes())]
+        self.levels = [BoxLevel(root)]
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
 
     def first(self) -> PricedTree:
         """Return the tree whose only leaf is the root; raise :class:`BudgetTooSmall` if its file is too large."""
-        price = float(self.levels[0].costs(1.0)[0])
-        tree = self._tree(price, 1.0)
+        tree = self._tree(float(self.levels[0].costs(1.0)[0]), 1.0)
         self._limits.require_room(tree.num_bytes)
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 

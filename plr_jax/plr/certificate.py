@@ -14,6 +14,7 @@ from plr_jax._types import CellSources
 from plr_jax.plr.bound_classes import CODE_BITS, classify_bounds, read_classes, requantize_bounds, write_classes
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
+from plr_jax.plr.tree import Cells, Rows
 
 Bounds: TypeAlias = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 ConeBoundsFn: TypeAlias = Callable[..., Bounds]
@@ -54,7 +55,7 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 
 @dataclass(frozen=True, eq=False)
-class LeafFunctions:
+class LeafFunctions(Rows):
     """The functions of several leaves; leaf ``i`` is the box from ``lo[i]`` to ``hi[i]``.
 
     ``coefficients`` are those of the leaf model ``model``.
@@ -76,9 +77,7 @@ class LeafFunctions:
         """
 
         def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
-            rows = leaf[row]
-            functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
-            return self.model.cone_minus_leaf_bounds(*functions, pieces, apex, offset)
+            return self.model.cone_minus_leaf_bounds(self[leaf[row]], pieces, apex, offset)
 
         return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
@@ -414,10 +413,8 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
     return proof
 
 
-def read_proof(
-    body: BitReader, proof: Proof, num_leaves: int, dim: int
-) -> tuple[Certificate | None, StraightBound | None]:
-    """Decode the error bounds and the straight-line bound of a file of ``num_leaves`` leaves in ``dim`` dimensions.
+def read_proof(body: BitReader, proof: Proof, cells: Cells) -> tuple[Certificate | None, StraightBound | None]:
+    """Decode the error bounds and the straight-line bound of a file with the leaves ``cells``.
 
     This is the inverse of :func:`write_proof`. Bounds that the file lacks are None.
     """
@@ -425,15 +422,15 @@ def read_proof(
         return None, None
     scale = float(body.read_floats(1)[0])
     if proof is Proof.CLASSES and scale == np.inf:
-        return None, StraightBound.read(body, dim)
+        return None, StraightBound.read(body, cells.dim)
     if not 0 < (scale if proof is Proof.LEAVES else abs(scale)) < LARGEST:
         raise ValueError(f"it states a largest error of {scale}")
     codes = None
     if proof is not Proof.CLASSES:
-        codes = body.read_fixed_width(2 * num_leaves, CODE_BITS).reshape(2, num_leaves).astype(np.uint8)
+        codes = body.read_fixed_width(2 * len(cells), CODE_BITS).reshape(2, -1).astype(np.uint8)
     elif scale < 0:
-        codes = read_classes(body, num_leaves).astype(np.uint8)
-    straight = StraightBound.read(body, dim) if proof is Proof.OPEN_LEAVES and scale < 0 else None
+        codes = read_classes(body, len(cells)).astype(np.uint8)
+    straight = StraightBound.read(body, cells.dim) if proof is Proof.OPEN_LEAVES and scale < 0 else None
     return Certificate(abs(scale), codes, proof), straight
 
 

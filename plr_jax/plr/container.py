@@ -249,8 +249,16 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
     """Encode a domain as in ``portable/FORMAT.md``; also return whether its coordinates are stored as floats."""
     numbers = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi)).ravel()
     floats = numbers.astype("<f8").tobytes()
-    decimals = _decimals(numbers.tolist())
-    return (floats, True) if decimals is None or len(decimals) > len(floats) else (decimals, False)
+    # Decimal numbers are integers divided by one power of ten, if this is exact and the integers are not too large.
+    shortest = [Decimal(repr(number)) for number in numbers.tolist()]
+    decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
+    integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
+    if decimals > _MOST_DECIMALS or max(map(abs, integers)) > _LARGEST:
+        return floats, True
+    # The decimal form of -0.0 decodes to 0.0, which is equal and makes the same box.
+    is_exact = [integer / float(10**decimals) for integer in integers] == numbers.tolist()
+    data = bytes([decimals]) + b"".join(map(signed_varint, integers))
+    return (data, False) if is_exact and len(data) <= len(floats) else (floats, True)
 
 
 def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
@@ -270,19 +278,6 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
     corners = numbers.reshape(2, dim)
     periodic = corners[0] > corners[1]
     return Box(*np.where(periodic, corners[::-1], corners), periodic=tuple(map(bool, periodic)))
-
-
-def _decimals(numbers: list[float]) -> bytes | None:
-    """Encode numbers as integers divided by one power of ten; None if this is inexact or integers are too large."""
-    shortest = [Decimal(repr(number)) for number in numbers]
-    decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
-    integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
-    if decimals > _MOST_DECIMALS or max(map(abs, integers)) > _LARGEST:
-        return None
-    # The decimal form of -0.0 decodes to 0.0, which is equal and makes the same box.
-    if [integer / float(10**decimals) for integer in integers] != numbers:
-        return None
-    return bytes([decimals]) + b"".join(map(signed_varint, integers))
 
 
 _REPLACED = (

@@ -60,9 +60,8 @@ class Folding:
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
         """The mirrors with more than the fraction ``_CUT`` of the domain's width on each side."""
         lo, hi = self._range_before_mirroring
-        least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)
-        return tuple(mirror for mirror, pivot in pairs if min(-lo[pivot], hi[pivot]) > least[pivot])
+        return tuple(mirror for mirror, pivot in pairs if min(-lo[pivot], hi[pivot]) > _CUT * (hi - lo)[pivot])
 
     @property
     def _range_before_mirroring(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:

@@ -9,8 +9,8 @@ import os
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Sequence, Sized
-from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,11 +19,13 @@ from tqdm import tqdm
 from plr_jax._arrays import row_products
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import bits_of_set, body_size
-from plr_jax.plr.sampling import CellFit, Sampler, is_closed, solve_planes
+from plr_jax.plr.sampling import CellFit, OfTerms, Sampler, is_closed, solve_planes
 from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
 _BYTES_A_NODE = 200  # memory of a node during construction
+Priorities: TypeAlias = Float[np.ndarray, " cells"]
+Axes: TypeAlias = Int[np.ndarray, " cells"]
 GrowingTree = TypeVar("GrowingTree", bound=Sized)  # a partition; its length is its number of leaves
 
 
@@ -141,71 +143,68 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, " splits"]:
 
 
 def nodes_of_fit(
-    fit: CellFit,
-    coefficients: Float[np.ndarray, "cells terms"],
-    key_of_parent: Float[np.ndarray, " cells"],
-    priority: Float[np.ndarray, "..."],
-    axis: Int[np.ndarray, "..."],
-    limits: Limits,
+    fit: CellFit, coefficients: OfTerms, parent_key: Priorities, priority: Any, axis: Any, limits: Limits
 ) -> Nodes:
-    """Turn fitted cells into leaves of the growing tree; ``key_of_parent`` has their parents' keys (:class:`Nodes`).
+    """Turn fitted cells into leaves of the growing tree; ``parent_key`` has their parents' keys (:class:`Nodes`).
 
     ``priority`` and ``axis`` are the results of the rules ``should_split`` and ``split`` for the cells. A cell may be
     split if its priority is larger than the tolerance and the noise of distances, and if it is not too deep.
     """
-    check_rules(fit, priority, axis)
-    priority, axis = urgent_first(fit, priority, axis)
+    priority = checked_priorities(fit, priority)
+    axis = checked_axes(fit, axis)
     # Residuals are 0 at samples that do not reach the goal.
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     may_split = (priority > np.maximum(limits.tolerance, fit.noise)) & is_within_depth(fit.cells, axis, limits)
-    key = np.where(may_split, np.minimum(priority, key_of_parent), NEVER)
+    key = np.where(may_split, np.minimum(priority, parent_key), NEVER)
     volume = volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1))
     return Nodes(fit.cells, coefficients, error, volume, axis, key, np.full(len(fit), -1), fit.is_cut_off)
 
 
-def urgent_first(
-    fit: CellFit, priority: Float[np.ndarray, " cells"], axis: Int[np.ndarray, " cells"]
-) -> tuple[Float[np.ndarray, " cells"], Int[np.ndarray, " cells"]]:
-    """Return the priorities and split axes of cells, with other values for urgent cells (see :class:`CellFit`).
-
-    The priority of an urgent cell is near the largest float, halved with each split, so that large cells come first.
-    The axis of an urgent cell is ``fit.urgent_axis``.
-    """
-    is_urgent = fit.urgent_axis >= 0
-    highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
-    return np.where(is_urgent, highest, priority), np.where(is_urgent, fit.urgent_axis, axis)
-
-
-def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limits) -> Bool[np.ndarray, " cells"]:
+def is_within_depth(cells: Cells, axis: Axes, limits: Limits) -> Bool[np.ndarray, " cells"]:
     """Return whether each cell can be halved along its ``axis`` without exceeding the limits of depth."""
     along = cells.depth[np.arange(len(cells)), axis]
     return (cells.depth.sum(axis=1) < limits.max_depth) & (along < limits.max_axis_depth)
 
 
-def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
-    """Raise a ``ValueError`` unless the rules returned a priority and an axis for each cell."""
-    cells, dim = fit.cells.depth.shape
-    if priority.shape != (cells,) or np.isnan(priority).any():
-        expected = f"one priority a cell, shape ({cells},) without NaN"
+def checked_priorities(fit: CellFit, answer: Any) -> Priorities:
+    """Return the answer of the rule ``should_split``, with other priorities for urgent cells (see :class:`CellFit`).
+
+    The priority of an urgent cell is near the largest float, halved with each split, so that large cells come first.
+    ``ValueError`` unless the answer has a priority for each cell.
+    """
+    priority = np.asarray(answer, float)
+    if priority.shape != (len(fit),) or np.isnan(priority).any():
+        expected = f"one priority a cell, shape ({len(fit)},) without NaN"
         raise ValueError(f"should_split must return {expected}, got shape {priority.shape}.")
+    highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
+    return np.where(fit.urgent_axis >= 0, highest, priority)
+
+
+def checked_axes(fit: CellFit, answer: Any) -> Axes:
+    """Return the answer of the rule ``split``, with ``fit.urgent_axis`` for urgent cells (see :class:`CellFit`).
+
+    ``ValueError`` unless the answer has an axis for each cell.
+    """
+    axis, dim = np.asarray(answer), fit.cells.dim
     least, most = axis.min(initial=dim), axis.max(initial=-1)
-    if axis.shape != (cells,) or least < 0 or most >= dim:
-        expected = f"one axis from 0 to {dim - 1} a cell, shape ({cells},)"
+    if axis.shape != (len(fit),) or least < 0 or most >= dim:
+        expected = f"one axis from 0 to {dim - 1} a cell, shape ({len(fit)},)"
         raise ValueError(f"split must return {expected}, got shape {axis.shape} with values from {least} to {most}.")
+    return np.where(fit.urgent_axis >= 0, fit.urgent_axis, axis)
 
 
 # The rules SHOULDSPLIT and SPLIT of Algorithm 1. The leaf of the largest positive priority is split next.
-ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, " cells"]]
-SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, " cells"]]
+ShouldSplitRule: TypeAlias = Callable[[CellFit], Priorities]
+SplitRule: TypeAlias = Callable[[CellFit], Axes]
 
 
-def largest_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
+def largest_error(fit: CellFit) -> Priorities:
     """Return each cell's largest weighted sample error, in units of distance; 0 if no sample reaches the goal."""
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
-def center_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
+def center_error(fit: CellFit) -> Priorities:
     """Return each cell's weighted absolute error at its center, in units of distance (Section III-B of the paper).
 
     If the center does not reach the goal, return :func:`largest_error`, so that an obstacle hides no bad fit.
@@ -214,7 +213,7 @@ def center_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
-def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
+def maximum_depth(fit: CellFit) -> Priorities:
     """Return the priority ``inf`` for each cell; 0 if no sample of the cell reaches the goal.
 
     Cells of equal priority are split in the order in which they were made, so the tree grows breadth first.
@@ -222,7 +221,7 @@ def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
-def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
+def best_axis(fit: CellFit) -> Axes:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
     Two kinds of axes are excluded. Along the first kind, the cell has been halved ``max_axis_depth`` times. Along the
@@ -233,7 +232,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)
 
 
-def cyclic_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
+def cyclic_axis(fit: CellFit) -> Axes:
     """Return each cell's number of halvings modulo ``dim``: axes take turns, as in Section III-B of the paper."""
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
 
@@ -266,7 +265,7 @@ _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of few
 _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
 _SAMPLES_AT_ONCE = 2**20  # about as many samples of cells are fitted at once
 _LAST_SHARE = 32  # a round makes at least 1/32 of all splits that were made or are possible, if so many are allowed
-NodesOf: TypeAlias = Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]
+NodesOf: TypeAlias = Callable[[CellFit, Priorities], Nodes]
 """Function ``(fit, parent_keys)`` that turns fitted cells, and their parents' keys, into nodes of a growing tree."""
 
 
@@ -278,7 +277,7 @@ class Encoding(NamedTuple):
     rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values
 
 
-def fit_nodes(sampler: Sampler, nodes_of: NodesOf, cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
+def fit_nodes(sampler: Sampler, nodes_of: NodesOf, cells: Cells, parent_key: Priorities) -> Nodes:
     """Sample and fit cells, about a million samples at a time, and return the nodes of a growing tree.
 
     ``parent_key`` has the keys of the cells' parents (see :class:`Nodes`). Cells in which few samples reach the goal
@@ -291,7 +290,7 @@ def fit_nodes(sampler: Sampler, nodes_of: NodesOf, cells: Cells, parent_key: Flo
         # Two patterns cannot share a CellFit: make the nodes of each, then restore the order of the cells.
         for is_dense in (False, True):
             if len(rows := np.flatnonzero(fit.is_hardly_seen == is_dense)):
-                of_rows = sampler.sample_densely(fit.cells[rows]) if is_dense else fit[rows]
+                of_rows = replace(sampler, pattern=sampler.dense_pattern)(fit.cells[rows]) if is_dense else fit[rows]
                 nodes.append(nodes_of(of_rows, parent_key[begin + rows]))
                 order.append(begin + rows)
     return nodes[0].append(*nodes[1:])[np.argsort(np.concatenate(order))]

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
+from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Indices: TypeAlias = Int[np.ndarray, " n"]
+Leaves: TypeAlias = Int[np.ndarray, " _"]  # indices of some leaves
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 # Function ``keep(pairs, side, half, axis)`` that returns which new pairs to follow, a mask. In each pair, the node in
 # row ``side`` has just been replaced by its lower (``half`` 0) or upper (1) half along the pair's ``axis``.
@@ -163,27 +164,22 @@ def check_num_weights(number: int | float, most: int) -> None:
 _TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells only touch; in finest cell widths
 
 
-def neighbor_of_largest_contact(
-    cells: Cells, unreachable: Int[np.ndarray, " m"], reachable: Int[np.ndarray, " n"], periodic: tuple[bool, ...]
-) -> Int[np.ndarray, " m"]:
-    """For each leaf in ``unreachable``, find the leaf in ``reachable`` with which it shares the largest face.
+def neighbor_of_largest_contact(tree: Tree, borrowers: Leaves, donors: Leaves, periodic: tuple[bool, ...]) -> Leaves:
+    """For each leaf in ``borrowers``, find the leaf in ``donors`` with which it shares the largest face.
 
-    A shared edge or corner counts as a tiny face. Leaves are indices; the result is -1 if no reachable leaf touches
-    the leaf.
+    A shared edge or corner counts as a tiny face. Leaves are indices; the result is -1 if no donor touches the leaf.
     """
-    tree = tree_of(cells)
-    leaf_of_cell = np.argsort(tree.order)  # inverse permutation of `order`, the index in `cells` of each leaf
-    pairs = tree.order[touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)]
-    borrower, donor = pairs  # an unreachable and a reachable cell
+    cells = tree.leaves
+    borrower, donor = pairs = touching_leaves(tree, borrowers, donors, periodic)
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
     order = np.lexsort((-donor, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor_of = np.full(len(cells), -1)
     donor_of[borrower[order]] = donor[order]
-    return donor_of[unreachable]
+    return donor_of[borrowers]
 
 
 def touching_leaves(
-    tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
+    tree: Tree, some: Leaves, others: Leaves, periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
     """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner.
 

@@ -121,6 +121,7 @@ def lattice(num_points: int, shift: Float[np.ndarray, " dim"]) -> Float[np.ndarr
 # slopes if samples are spread evenly, so it changes such a fit by less than 1e-8.
 _RIDGE = 1e-9
 OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
+OfTerms: TypeAlias = Float[np.ndarray, "cells terms"]
 Planes: TypeAlias = tuple[Float[np.ndarray, " cells"], Float[np.ndarray, "cells dim"]]
 FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
 """Function that fits planes, called like :func:`least_squares`."""
@@ -148,9 +149,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     return plane[:, 0], plane[:, 1:]
 
 
-def solve_planes(
-    design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: Float[np.ndarray, "cells terms"]
-) -> Float[np.ndarray, "cells terms"]:
+def solve_planes(design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: OfTerms) -> OfTerms:
     # Solve the normal equations of each cell, (D' W D + ridge) plane = projection = D' W value, with the design D and
     # the diagonal matrix W of the weights. The first column of D is 1. If all weights are 0, so is the plane.
     k, terms = design.shape
@@ -276,9 +275,6 @@ class Sampler:
             # If both tests give an axis, either will do: take the larger number, as -1 stands for no axis.
             axis[coarse] = np.maximum(axis[coarse], urgent_axes(cells[coarse], holds, self.max_axis_depth))
         return axis
-
-    def sample_densely(self, cells: Cells) -> CellFit:
-        return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
@@ -444,6 +440,10 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
         raise ValueError(f"compute_coefficients must return {expected} along each axis of each cell, {got}.")
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
+
+
+def folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> Distances:
+    return call_oracle(distance_fn, folding.unfold(z))
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, " n"]:

@@ -96,9 +96,8 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
     # 1. Find all pairs of a piece of free space and a point in it, as indices of pieces and of rows of `points`.
     num_columns, points = x.shape[1], x.reshape(-1, 2)
     distance = np.full(len(points), np.inf)
-    at_once = max(1, _POINTS_AT_ONCE // num_columns)
     containing = [np.zeros((2, 0), int)]
-    for piece in batches(np.arange(len(visible.cell)), at_once):
+    for piece in batches(np.arange(len(visible.cell)), max(1, _POINTS_AT_ONCE // num_columns)):
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
         containing.append(np.stack([piece[row], num_columns * visible.cell[piece[row]] + column]))
     piece, point = np.concatenate(containing, axis=1)

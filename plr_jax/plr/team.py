@@ -59,11 +59,9 @@ class TableStack:
 
 
 @jax.jit
-def _evaluate(
-    tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n _"], ...]
-) -> tuple[Float[Array, " n"], ...]:
+def _evaluate(tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n _"], ...]) -> tuple[Array, ...]:
     # One array for each robot, since XLA would compute a single array in one slower loop.
+    robots = zip(tables, bands, points, strict=True)
     return tuple(
-        evaluate_tables(table, x) if band is None else bounds_of_tables(table, band, x)[0]
-        for table, band, x in zip(tables, bands, points, strict=True)
+        bounds_of_tables(t, band, x)[0] if band is not None else evaluate_tables(t, x) for t, band, x in robots
     )

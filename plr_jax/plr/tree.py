@@ -218,6 +218,8 @@ def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
 
 # Regular grids over the domain, with ``2**bits`` cells along each axis.
 PerAxis: TypeAlias = Int[np.ndarray, " dim"]
+# Integer points, such as the coordinates of grid cells, and before them the index of each point's leaf or box.
+IndexedPoints: TypeAlias = tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]
 
 
 def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
@@ -225,9 +227,7 @@ def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
-def leaves_in_blocks(
-    cells: Cells, block_bits: PerAxis
-) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, "pairs dim"]]:
+def leaves_in_blocks(cells: Cells, block_bits: PerAxis) -> IndexedPoints:
     """Return all overlapping pairs of a leaf (its index) and a cell of a coarse grid (its integer coordinates).
 
     The grid has ``2**block_bits`` cells along each axis.
@@ -239,9 +239,7 @@ def leaves_in_blocks(
     return enumerate_boxes(first, np.int64(1) << finer_bits)
 
 
-def enumerate_boxes(
-    first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
-) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
+def enumerate_boxes(first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]) -> IndexedPoints:
     """Enumerate the integer points ``p`` of all boxes ``first <= p < first + count``.
 
     Return the index of each point's box, and each point.

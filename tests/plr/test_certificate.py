@@ -11,11 +11,16 @@ from hypothesis import strategies as st
 from plr_jax.plr.bound_classes import classify_bounds, read_classes, write_classes
 from plr_jax.plr.certificate import Certificate, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.tree import Cells
 
 # Certificates in files.
 
 
 PROOFS = st.sampled_from([Proof.CLASSES, Proof.LEAVES, Proof.OPEN_LEAVES])
+
+
+def cells_of(number):
+    return Cells.root(2)[np.zeros(number, np.int64)]
 
 
 def written(certificate, straight=None):
@@ -48,7 +53,7 @@ def test_stored_bounds_are_rounded_outward_and_read_as_written(seed, scale, proo
     assert certificate.max_error == (np.inf if is_open.any() else found)
     body = written(certificate)
     assert body.num_bits == proof.num_bits(50, 0)
-    again, _ = read_proof(BitReader(body.to_bytes()), proof, 50, 2)
+    again, _ = read_proof(BitReader(body.to_bytes()), proof, cells_of(50))
     assert again is not None and again.proof is proof is certificate.proof
     assert again.max_error == certificate.max_error
     np.testing.assert_array_equal(again.bounds(), certificate.bounds())
@@ -60,7 +65,7 @@ def test_straight_lower_bounds_are_read_as_written_and_checked():
     certificate = Certificate(1.0, np.zeros((2, 3), np.uint8), Proof.OPEN_LEAVES)
     for proven, proof in ((certificate, Proof.OPEN_LEAVES), (None, Proof.CLASSES)):
         body = written(proven, straight)
-        again, bound = read_proof(BitReader(body.to_bytes()), proof, 3, 2)
+        again, bound = read_proof(BitReader(body.to_bytes()), proof, cells_of(3))
         assert again is None if proven is None else again.scale == 1.0
         for mine, theirs in zip(bound.arrays, straight.arrays, strict=True):
             np.testing.assert_array_equal(mine, theirs)
@@ -71,7 +76,7 @@ def test_straight_lower_bounds_are_read_as_written_and_checked():
     ):
         body = written(certificate, replace(straight, **change))
         with pytest.raises(ValueError, match=message):
-            read_proof(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, 3, 2)
+            read_proof(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, cells_of(3))
 
 
 @pytest.mark.parametrize(("upper", "proof"), [(0.0, Proof.LEAVES), (np.inf, Proof.OPEN_LEAVES)])
@@ -88,13 +93,13 @@ def test_bounds_of_zero_and_infinity_can_be_stored(upper, proof):
 )
 def test_invalid_max_error_in_file_raises(proof, value):
     with pytest.raises(ValueError, match="states a largest error of"):
-        read_proof(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, 0, 2)
+        read_proof(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, cells_of(0))
 
 
 def test_certificates_cut_short_raise():
     body = BitWriter().write_floats(np.array([0.5])).write(np.arange(5), 8)
     with pytest.raises(ValueError, match="end too early"):
-        read_proof(BitReader(body.to_bytes()), Proof.LEAVES, 3, 2)
+        read_proof(BitReader(body.to_bytes()), Proof.LEAVES, cells_of(3))
 
 
 # Classes of leaves.

@@ -19,6 +19,7 @@ from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace, from_bytes, sc
 from plr_jax._types import Sources
 from plr_jax.plr import construct
 from plr_jax.plr._file import body_of_leaves
+from plr_jax.plr.certificate import LeafFunctions
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import Layer
 from plr_jax.plr.leaves import leaf_model, leaf_names
@@ -100,7 +101,7 @@ def test_bounds_of_cone_minus_leaf_hold(name):
     coefficients = rng.normal(size=(60, num_terms)) + (np.array([0, 5, 5]) if name == "cone" else 0)
     apex, offset = rng.uniform(0, 10, (60, 2)), rng.normal(size=60)
     apex[::4] = pieces.mean(axis=2).T[::4]
-    low, high = leaf.cone_minus_leaf_bounds(lo, hi, coefficients, pieces, apex, offset)
+    low, high = leaf.cone_minus_leaf_bounds(LeafFunctions(leaf, lo, hi, coefficients), pieces, apex, offset)
     for x in points_of(rng, pieces, 400).swapaxes(0, 1):
         value = offset + np.linalg.norm(x - apex, axis=1) - leaf.values(lo, hi, coefficients, x)
         assert (low <= value + 1e-9).all() and (value <= high + 1e-9).all()

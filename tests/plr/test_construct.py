@@ -2,6 +2,7 @@
 
 import heapq
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -270,7 +271,7 @@ def best_first_twin(distance_fn, max_leaves):
     def push(queue, cells):
         for cell in range(len(cells)):
             fit = sampler(cells[[cell]])
-            fit = sampler.sample_densely(cells[[cell]]) if fit.is_hardly_seen[0] else fit
+            fit = replace(sampler, pattern=sampler.dense_pattern)(cells[[cell]]) if fit.is_hardly_seen[0] else fit
             heapq.heappush(queue, (-largest_error(fit)[0], len(queue), best_axis(fit), cells[[cell]]))
 
     queue, done = [], []

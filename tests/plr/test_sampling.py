@@ -1,5 +1,7 @@
 """Samples of cells, least squares of planes, and checks of what oracles return."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -102,7 +104,7 @@ def test_cells_with_few_reachable_samples_are_hardly_seen():
     sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
     patterns = [sampling.sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
     sampler = sampling.Sampler(sliver, LINE, None, *patterns, 14)
-    few, many = sampler(Cells.root(1)), sampler.sample_densely(Cells.root(1))
+    few, many = sampler(Cells.root(1)), replace(sampler, pattern=sampler.dense_pattern)(Cells.root(1))
     assert few.is_hardly_seen.tolist() == [True] and many.is_hardly_seen.tolist() == [False]
     assert few.reachable.sum() < many.reachable.sum() and many.value.shape == (1, 512)
     assert sampler(Cells.root(1).split(np.array([0]))).is_hardly_seen.tolist() == [True, True]  # the other has none

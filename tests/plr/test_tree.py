@@ -76,12 +76,13 @@ def test_overlapping_leaves_equal_overlapping_boxes(dim):
 
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3), wraps=st.integers(0, 7))
 def test_neighbors_of_largest_contact_equal_all_pairs(seed, dim, wraps):
-    cells, periodic = random_partition(seed, dim, 25), tuple(bool(wraps >> axis & 1) for axis in range(dim))
+    tree, periodic = tree_of(random_partition(seed, dim, 25)), tuple(bool(wraps >> axis & 1) for axis in range(dim))
+    cells = tree.leaves
     blocked = np.random.default_rng(seed).random(len(cells)) < 0.6
     lo, hi = unit_boxes(cells)
     slot = 0.5 ** cells.depth.max(axis=0)  # the narrowest there is
     borrowers = np.flatnonzero(blocked)
-    found = lenders(cells, borrowers, np.flatnonzero(~blocked), periodic)
+    found = lenders(tree, borrowers, np.flatnonzero(~blocked), periodic)
     for leaf, lender in zip(borrowers, found, strict=True):
         shares = np.ones(len(cells))
         for axis in range(dim):

@@ -11,7 +11,7 @@ from plr_jax._arrays import as_finite, product_in_order, require_integer
 from plr_jax._types import CellSources, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.certificate import Proof
+from plr_jax.plr.certificate import Bounds, LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.finite_elements import enclosing_planes
 from plr_jax.plr.frame import Corner, is_far
@@ -101,12 +101,12 @@ class LeafModel(ABC):
 
     @abstractmethod
     def cone_minus_leaf_bounds(
-        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
-    ) -> tuple[Distances, Distances]:
+        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
+    ) -> Bounds:
         """Return lower and upper bounds of a cone minus a leaf's function, over a convex polygon in the leaf.
 
-        Bounds ``i`` are for the leaf from ``lo[i]`` to ``hi[i]``, the polygon ``pieces[:, i]`` and the cone
-        ``offset[i] + |x - apex[i]|``.
+        Bounds ``i`` are for the leaf ``leaves[i]``, the polygon ``pieces[:, i]`` and the cone ``offset[i] + |x -
+        apex[i]|``.
         """
 
     @abstractmethod
@@ -217,16 +217,16 @@ class PolynomialLeafModel(LinearLeafModel):
         return total
 
     def cone_minus_leaf_bounds(
-        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
-    ) -> tuple[Distances, Distances]:
+        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
+    ) -> Bounds:
         # Taylor's expansion about the center c of a piece's bounding box: there, the leaf's function at x is
         #   value + slope . (x - c) = intercept + slope . x,    up to an error of at most `remainder`.
         # `center` and `half_width` are in local coordinates, from 0 to 1 across the leaf.
         piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
-        width = hi - lo
-        center = ((piece_lo + piece_hi) / 2 - lo) / width
+        width = leaves.hi - leaves.lo
+        center = ((piece_lo + piece_hi) / 2 - leaves.lo) / width
         half_width = (piece_hi - piece_lo) / 2 / width
-        powers = (coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
+        powers = (leaves.coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
         value, slope, remainder = enclosing_planes(powers, center, half_width)
         slope = slope / width
         intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2

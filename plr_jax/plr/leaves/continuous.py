@@ -19,10 +19,10 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.finite_elements import NodalSpace, basis_monomials, basis_values, coefficient_matrix, nodal_space
 from plr_jax.plr.frame import LARGEST
-from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, urgent_first
+from plr_jax.plr.growth import Limits, check_memory, checked_axes, checked_priorities, grow, is_within_depth
 from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.leaves.base import MAX_TIED_DIM, UNIT, Coefficients, PolynomialLeafModel, Rules, read_step
-from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
+from plr_jax.plr.sampling import CellFit, OfSamples, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 
 if TYPE_CHECKING:
@@ -265,9 +265,7 @@ class _Rounds:
         most_split = 1.0 if len(now) < _FEW_LEAVES * num_allowed else _MOST_SPLIT
         num_splits = min(num_splits, int(np.ceil(most_split * len(now))), num_allowed)
         # 3. Sort the leaves that may be split by priority.
-        error = np.asarray(self._rules.should_split(fit), float)
-        check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
-        error, _ = urgent_first(fit, error, fit.urgent_axis)
+        error = checked_priorities(fit, self._rules.should_split(fit))
         can_split = (fit.cells.depth < fit.max_axis_depth).any(axis=1)  # along some axis
         is_worth_it = (error > np.maximum(limits.tolerance, fit.noise)) & can_split
         priority = np.where(is_worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
@@ -276,9 +274,7 @@ class _Rounds:
         leaf, axis = np.empty(0, np.int64), np.empty(0, np.int64)
         while len(best) and len(leaf) < num_splits:
             tried, best = np.split(best, [num_splits - len(leaf)])
-            tried_axis = np.asarray(self._rules.split(fit[tried]))
-            check_rules(fit[tried], error[tried], tried_axis)
-            _, tried_axis = urgent_first(fit[tried], error[tried], tried_axis)
+            tried_axis = checked_axes(fit[tried], self._rules.split(fit[tried]))
             may_split = is_within_depth(fit.cells[tried], tried_axis, limits)
             leaf = np.append(leaf, tried[may_split])
             axis = np.append(axis, tried_axis[may_split])
@@ -320,9 +316,7 @@ class _Rounds:
             step *= 2 ** max(excess, 0.01)
 
 
-def fit_values(
-    order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> tuple[Float[np.ndarray, " free_dofs"], Float[np.ndarray, "leaves k"]]:
+def fit_values(order: int, space: NodalSpace, fit: CellFit, weight: OfSamples) -> tuple[Distances, OfSamples]:
     """Fit a finite-element function to the samples of leaves by weighted least squares.
 
     ``order`` is 0 for multilinear and 1 for cubic functions; ``weight`` has the weight of each sample. Return the

@@ -17,10 +17,10 @@ from plr_jax._arrays import sum_of_columns
 from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
-from plr_jax.plr.certificate import LeafFunctions, Proof
+from plr_jax.plr.certificate import Bounds, LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, Corner, table_corners
-from plr_jax.plr.growth import Encoding, Limits, Nodes, grow_best_first, largest_error, nodes_of_fit
+from plr_jax.plr.growth import Encoding, Limits, Nodes, Priorities, grow_best_first, largest_error, nodes_of_fit
 from plr_jax.plr.leaves import base
 from plr_jax.plr.leaves.base import Coefficients, Parameters
 from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
@@ -144,15 +144,15 @@ class IndependentLeafModel(base.LinearLeafModel):
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
         # 1. Nodes of the tree are cells with functions and priorities: proven errors if possible, else the rule's.
-        def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
+        def nodes_of(fit: CellFit, parent_key: Priorities) -> Nodes:
             fit, coefficients = self.fit_functions(fill_unsampled_planes(fit, sampler))
             if by_proof and sampler.cache is not None:
                 finite = np.where(np.isfinite(coefficients), coefficients, 0.0)
                 functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), finite)
                 priority = functions.largest_errors(sampler.cache.sources(fit.cells))
             else:
-                priority = np.asarray(rules.should_split(fit), float)
-            return nodes_of_fit(fit, coefficients, parent_key, priority, np.asarray(rules.split(fit)), limits)
+                priority = rules.should_split(fit)
+            return nodes_of_fit(fit, coefficients, parent_key, priority, rules.split(fit), limits)
 
         # 2. The bits per value decide the size of a file and its rounding errors. The error of a coefficient has the
         # variance step**2 / 12, and each but the first is multiplied by a function. For planes, this is a coordinate
@@ -257,14 +257,13 @@ class Plane(IndependentLeafModel):
         # Value at the corner, and slopes: center value + slope . (x - center), as value + slope . (x - corner).
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
-        to_center = (lo + hi) / 2 - corner
-        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
+        return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * ((lo + hi) / 2 - corner)), slope])
 
     def cone_minus_leaf_bounds(
-        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
-    ) -> tuple[Distances, Distances]:
-        slope = coefficients[:, 1:] * 2 / (hi - lo)
-        intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
+        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
+    ) -> Bounds:
+        slope = leaves.coefficients[:, 1:] * 2 / (leaves.hi - leaves.lo)
+        intercept = leaves.coefficients[:, 0] - (slope * (leaves.lo + leaves.hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:

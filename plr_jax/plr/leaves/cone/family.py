@@ -24,7 +24,7 @@ from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PEAK_WEIGHT
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
-from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ROOM, LeafOptions, change_sources, query_resolution
+from plr_jax.plr.leaves.cone.search import ROOM, SHORTFALL, Indices, LeafOptions, change_sources, query_resolution
 from plr_jax.plr.leaves.cone.worst_first import WorstFirst
 from plr_jax.plr.tree import Cells, Tree, leaf_order, tree_of_axes
 
@@ -179,10 +179,6 @@ class BoxFits:
         self.is_estimated[box] = False
 
 
-Indices: TypeAlias = Int[np.ndarray, " options"]
-"""An index for each option, a pair of a box and a source: of the box's first sample, or of the source."""
-
-
 def option_errors(
     goal: GoalSamples, start: Indices, offset: Int[np.ndarray, " k"], source: Indices, shortfall: float = np.inf
 ) -> Float[np.ndarray, "3 options"]:
@@ -194,8 +190,7 @@ def option_errors(
     """
     # With the sample x and the source s:  above = distance(x) - (distance(s) + |x - s|),    error = |above|.
     result = np.zeros((3, len(start)))
-    at_once = max(1, _AT_ONCE // len(offset))
-    for batch in slices(len(start), at_once):
+    for batch in slices(len(start), max(1, _AT_ONCE // len(offset))):
         x, y, distance, weight = np.moveaxis(goal.table[start[batch, None] + offset], 2, 0)
         apex = goal.sources.points[source[batch]]
         dx, dy = x - apex[:, :1], y - apex[:, 1:]
@@ -389,7 +384,7 @@ class FamilyTask:
         tree = largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
         source = fits.source[tree.box]
         if fits.is_mixed[tree.box].any():
-            options = _options(self.lattice, fits, tree.box, LEAST_SHORTFALL * float(self.domain.width.max()))
+            options = _options(self.lattice, fits, tree.box, SHORTFALL * float(self.domain.width.max()))
             total, most = float(fits.integral[tree.box].sum()), float(fits.largest[tree.box].max())
             source = change_sources(source, options, total, most, partial(files.fit, self.limits))
         return [(tree_of_axes(tree.axes, 2), files.stored(source))], None

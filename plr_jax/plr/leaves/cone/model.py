@@ -13,6 +13,7 @@ from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
+from plr_jax.plr.certificate import Bounds, LeafFunctions
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth import Limits, best_axis, largest_error
@@ -60,7 +61,7 @@ class Cone(LeafModel):
         visible = sampler.cache.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
-        return best_cones_of_goal(visible, sampler.domain, limits, sampler.pattern, sampler.reach)
+        return best_cones_of_goal(visible, sampler, limits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         write_cones(body, domain, stored)
@@ -79,9 +80,9 @@ class Cone(LeafModel):
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
     def cone_minus_leaf_bounds(
-        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
-    ) -> tuple[Distances, Distances]:
-        return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
+        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
+    ) -> Bounds:
+        return difference_of_cones(pieces, apex, offset, leaves.coefficients[:, 1:], leaves.coefficients[:, 0])
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
         # Errors, in UNIT, of the value offset + |d|, where d = (x - corner) - source is at most |source| + width:

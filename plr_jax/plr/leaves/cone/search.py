@@ -12,24 +12,27 @@ from functools import partial
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt64
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.plr.best_partition import BoxLevel, Halves, PricedTree, PriceSearch
-from plr_jax.plr.certificate import Proof, bounds_of_pieces
+from plr_jax.plr.certificate import Bounds, Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
-from plr_jax.plr.sampling import Pattern
+from plr_jax.plr.sampling import Pattern, Sampler
 from plr_jax.plr.source_cache import distances_in_cells
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 _MOST_TRIED = 4
 """Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
+Indices: TypeAlias = Int[np.ndarray, " options"]
+"""An index for each option, a pair of a box and a source: of the box (or its first sample), or of the source."""
 LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
 """The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
+FitsFn: TypeAlias = Callable[[LeafSources], bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,23 +62,11 @@ class ConeBoxes(Rows):
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
-    def new_halves(
-        self, parent: Halves, axis: Halves, is_upper: Bool[np.ndarray, " halves"], known: UInt64[np.ndarray, " known"]
-    ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
-        """Halve boxes, and compute the halves that are not known yet, in the order of their first appearance.
-
-        Half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``. ``known`` are hashes of the
-        known boxes. Return the new halves, their hashes, and the hashes of all halves. Two boxes may share a half:
-        the upper half of a left half is the left half of an upper half.
-        """
+    def halves(self, parent: Halves, axis: Halves, is_upper: Bool[np.ndarray, " halves"]) -> "ConeBoxes":
+        """Return halves of boxes: half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``."""
         cells = self.cells[parent].halves(axis, is_upper)
-        lo, hi = cells.grown_boxes(self.domain)
-        key = cells.hashes()
-        _, first_with_key = np.unique(key, return_index=True)
-        new = np.sort(first_with_key[~np.isin(key[first_with_key], known)])
-        visible = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
-        boxes = fit_boxes(self.domain, self.negligible, cells[new], visible, self.reach)
-        return replace(boxes, by_side=self.by_side), key[new], key
+        visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
+        return replace(fit_boxes(self.domain, self.negligible, cells, visible, self.reach), by_side=self.by_side)
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
@@ -141,9 +132,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
     return np.where(is_sole, first_source, -1)
 
 
-def option_errors(
-    visible: CellSources, box: Int[np.ndarray, " options"], source: Int[np.ndarray, " options"]
-) -> tuple[Float[np.ndarray, " options"], Float[np.ndarray, " options"]]:
+def option_errors(visible: CellSources, box: Indices, source: Indices) -> Bounds:
     """Return bounds of the largest error, and of the error's integral, of cone ``source[i]`` in box ``box[i]``.
 
     The boxes are the cells of ``visible``. Integrals are over the free space of the box, in workspace units cubed.
@@ -165,7 +154,7 @@ def option_errors(
 # If a wall hides a leaf's source from a point, the distance there is larger than the cone. So samples above the cone
 # show where the source is hidden.
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
-LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
+SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 ROOM = 64  # one byte in this many of a file is reserved for changes to visible sources
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
@@ -176,8 +165,8 @@ class LeafOptions(NamedTuple):
     A leaf has candidates if a wall may hide its present source (a corner or the goal) from a part of the leaf.
     """
 
-    leaf: Int[np.ndarray, " options"]
-    source: Int[np.ndarray, " options"]
+    leaf: Indices
+    source: Indices
     by_all: Bool[np.ndarray, " options"]  # whether all of the leaf sees the source
     error: Float[np.ndarray, " options"]  # mean error over the leaf, at samples
     hidden: Float[np.ndarray, " options"]  # share of the leaf from which a wall hides the source
@@ -230,14 +219,14 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     cone = sources.distances[source, None] + np.linalg.norm(x[row] - sources.points[source, None], axis=2)
     above = np.where(np.isfinite(distance), distance, 0.0)[row] - cone
     error = np.sum(weight[row] * np.abs(above), axis=1)
-    hidden = np.sum(weight[row] * (above > LEAST_SHORTFALL * float(boxes.domain.width.max())), axis=1)
+    hidden = np.sum(weight[row] * (above > SHORTFALL * float(boxes.domain.width.max())), axis=1)
     # 4. Proven bounds of the errors, and free area.
     largest, integral = option_errors(visible, row, source)
     area = np.bincount(visible.cell, areas(visible.pieces), len(chosen)).astype(np.float64)[row]
     return LeafOptions(box, source, by_all, error, hidden, largest, integral, area)
 
 
-def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
+def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: FitsFn) -> LeafSources:
     """Choose a source for each leaf: where possible, a source that all of the leaf sees.
 
     ``boxes`` are the leaves with their present sources. The largest proven error of all leaves does not rise.
@@ -248,9 +237,7 @@ def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[L
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
 
 
-def change_sources(
-    source: LeafSources, options: LeafOptions, total: float, most: float, fits: Callable[[LeafSources], bool]
-) -> LeafSources:
+def change_sources(source: LeafSources, options: LeafOptions, total: float, most: float, fits: FitsFn) -> LeafSources:
     """Replace the ``source`` of some leaves by a source that walls hide from less of the leaf; return all sources.
 
     ``fits(sources)`` tells whether the file of leaves with these sources is within its limits; if not all changes
@@ -287,19 +274,19 @@ def change_sources(
 
 
 def best_cones_of_goal(
-    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, reach: Reach | None
+    visible: CellSources, sampler: Sampler, limits: Limits
 ) -> tuple[Tree, StoredCones, CellSources]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
-    ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. Return the tree, its leaves as in a file, and the sources to which paths from each leaf may
+    ``visible`` has the whole domain as its only cell. Samples of ``sampler.pattern`` in a leaf show from where walls
+    hide its source. Return the tree, its leaves as in a file, and the sources to which paths from each leaf may
     go first.
     """
     # 1. Start from the domain as the only box.
     negligible = max(limits.tolerance, query_resolution(visible.distance))
-    root = fit_boxes(domain, negligible, Cells.root(2), visible, reach)
+    root = fit_boxes(sampler.domain, negligible, Cells.root(2), visible, sampler.reach)
     root = replace(root, by_side=limits.proof is Proof.NONE)
-    files = ConeFiles(visible.sources, domain)
+    files = ConeFiles(visible.sources, sampler.domain)
 
     def in_order(levels: list[BoxLevel], priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
         # The tree, in the canonical form of files, and the number of each leaf's box, as in `boxes_of_levels`.
@@ -317,5 +304,5 @@ def best_cones_of_goal(
     tree, number = in_order(search.levels, grow(search.first(), search.next, limits))
     # 3. Change sources of leaves.
     boxes = boxes_of_levels([level.boxes for level in search.levels], number)
-    source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
+    source = prefer_visible_sources(boxes, sampler.pattern, partial(files.fit, limits))
     return tree, files.stored(source), boxes.visible
