@@ -20,7 +20,7 @@ from plr_jax.geometry.boundary import Boundary, vertices_near_edges
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.graph import Arcs
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
@@ -267,7 +267,7 @@ def construct_stored(
     # A corner c has several corners f, such as two at a sharp tip, or none: order[first[c] : first[c + 1]].
     #
     # 1. Round the boundary of free space to a lattice, and find its corners.
-    visibility = visibility or corner_visibility(workspace)
+    visibility = visibility or CornerVisibility.of(workspace)
     width = float(domain.width.max())
     outline, vertex = outline_of(workspace.boundary, domain.lo, width, workspace.tolerance)
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
