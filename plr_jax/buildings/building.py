@@ -205,5 +205,4 @@ class BuildingOracle:
 
         if isinstance(max_bytes := options.get("max_bytes"), int):
             options["max_bytes"] = max(1, max_bytes - len(self.floors.to_bytes()))
-        plr = construct(self.paths, self.building.plane.bounds, leaf=leaf, **options)
-        return BuildingPLR(self.floors, plr)
+        return BuildingPLR(self.floors, construct(self.paths, self.building.plane.bounds, leaf=leaf, **options))

@@ -4,7 +4,6 @@ Shortest paths from a sample point, or from a point of a piece, may turn first a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -28,8 +27,7 @@ Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 Indices: TypeAlias = Int[np.ndarray, " cells"]
 
 
-@dataclass(frozen=True, eq=False)
-class FamilySamples:
+class FamilySamples(NamedTuple):
     """A sample point in each box that is not blocked, and the corners where paths from the sample may turn first."""
 
     x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
@@ -120,8 +118,7 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
     return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
 
-@dataclass(frozen=True, eq=False)
-class FamilyCells:
+class FamilyCells(NamedTuple):
     """The free space in boxes as convex pieces, and the corners that see them; built once for all goals on a map."""
 
     sight: Sight  # for any goal

@@ -234,8 +234,7 @@ class TurnPoints:
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
-            height = x @ normal.T
-            length[height < (self.points * normal).sum(axis=1) - self.slack] = np.nan
+            length[x @ normal.T < (self.points * normal).sum(axis=1) - self.slack] = np.nan
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:

@@ -107,8 +107,7 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
     """
     boundary, places = triangulation.boundary, triangulation.place(x)
     # A point at a vertex owns the sectors of all edges that start there. A point inside of a wall owns one sector.
-    starts = boundary.vertices[boundary.edges[:, 0]]
-    owner = index_of(places.x @ [1, 1j], starts @ [1, 1j])
+    owner = index_of(places.x @ [1, 1j], boundary.vertices[boundary.edges[:, 0]] @ [1, 1j])
     edge = np.flatnonzero(owner >= 0)
     wall = triangulation.wall[3 * places.triangle + places.on_side.argmax(axis=1)]
     on_wall = np.setdiff1d(np.flatnonzero(places.on_side.any(axis=1) & (wall >= 0)), owner)

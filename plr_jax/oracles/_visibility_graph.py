@@ -370,9 +370,8 @@ class NearestPaths:
         """Find the paths to ``goals``, points ``(n, 2)`` of free space; using them costs the ``offsets`` ``(n,)``."""
         # 1. Keep the cheapest of goals at one point.
         mesh, num_goals = workspace.triangulation, len(goals)
-        place = mesh.place(goals).x
         order = np.argsort(offsets, kind="stable")
-        _, cheapest = np.unique(place[order], axis=0, return_index=True)
+        _, cheapest = np.unique(mesh.place(goals).x[order], axis=0, return_index=True)
         kept = np.sort(order[cheapest])
         # 2. Split goals where obstacles touch, so that no path to another goal passes there between the obstacles.
         views, copied = viewpoints_at(mesh, goals[kept]).split()
@@ -384,18 +383,16 @@ class NearestPaths:
         table, (goal, corner) = corners.in_sight(mesh, views)
         goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
-        number = np.append(kept, num_goals + corners.given_arc)
         start = np.append(np.arange(count), count + corners.arcs.start)
         onward = np.append(np.full(count, end), count + corners.arcs.end)
         arcs = Arcs(onward, start, np.append(offsets[kept], corners.arcs.length))
-        points = np.concatenate([vertices.points, vertices.points[:1]])
         edges = np.concatenate([np.stack([goal, count + corner], axis=1), count + corners.edges])
-        adjacency = Graph(points, edges, arcs=arcs).adjacency
+        adjacency = Graph(np.concatenate([vertices.points, vertices.points[:1]]), edges, arcs=arcs).adjacency
         distances, parents = dijkstra(adjacency, end)
         # 4. Find the roots: vertices whose paths start with an arc. If equal arcs leave a vertex, the first counts.
         numbers, exits = np.full(end, -1), np.arange(end)
         taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
-        numbers[start[taken]] = number[taken]
+        numbers[start[taken]] = np.append(kept, num_goals + corners.given_arc)[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
         parents = np.where(numbers < 0, parents[:-1], -1)
         sources = Sources.of_graph(vertices.points, distances[:-1], parents, numbers, exits)
