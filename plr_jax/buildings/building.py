@@ -9,18 +9,11 @@ import numpy as np
 import shapely
 from jaxtyping import Int
 
-from plr_jax._arrays import (
-    PickledWithoutCaches,
-    as_point,
-    as_queries,
-    is_traced,
-    require_integer,
-    set_fields,
-    shortened,
-)
+from plr_jax import _arrays
+from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
-from plr_jax.geometry.corners import CornerVisibility, corner_visibility, with_places
+from plr_jax.geometry.corners import CornerVisibility, with_places
 from plr_jax.geometry.graph import Arcs
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._several_goals import NearestGoal
@@ -31,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Building(PickledWithoutCaches):
+class Building(_arrays.PickledWithoutCaches):
     """Floors, and the links between them, such as stairs, lifts, escalators, one-way doors and teleporters.
 
         building = plr_jax.Building([ground, first], [plr_jax.Link((0, (2, 3)), (1, (2, 4)), cost=9)])
@@ -58,7 +51,7 @@ class Building(PickledWithoutCaches):
             require_workspace(floor)
         if len({floor.squeeze for floor in all_floors}) != 1:
             raise ValueError(f"A building needs one or more floors with equal squeeze, got {shortened(all_floors)}.")
-        set_fields(self, floors=all_floors, links=all_links)
+        _arrays.set_fields(self, floors=all_floors, links=all_links)
         for i, link in enumerate(all_links):
             if not isinstance(link, Link):
                 raise ValueError(f"links must be plr_jax.Link(start, end, cost), got {shortened(link)} at {i}.")
@@ -91,7 +84,7 @@ class Building(PickledWithoutCaches):
     @cached_property
     def corners(self) -> CornerVisibility:
         """The corners of all floors and the ends of links, and what they see. All goals share them."""
-        corners, mesh, arcs = corner_visibility(self.plane), self.plane.triangulation, self.plane_floors.arcs
+        corners, mesh, arcs = CornerVisibility.of(self.plane), self.plane.triangulation, self.plane_floors.arcs
         if not arcs:
             return corners
         # Ends of links at one place, up to the rounding of the triangulation, are one corner.
@@ -105,9 +98,9 @@ class Building(PickledWithoutCaches):
 
         Points of 32-bit floats first move into their floor's free space as by :meth:`Workspace.settled`.
         """
-        if is_traced(floor) or is_traced(x):
+        if _arrays.is_traced(floor) or _arrays.is_traced(x):
             return self.plane_floors.in_plane(floor, x)
-        floor, x = np.asarray(floor), as_queries(x, 2)
+        floor, x = np.asarray(floor), _arrays.as_queries(x, 2)
         plane = self.plane_floors.in_plane(floor, x)
         if x.dtype != np.float32:
             return plane
@@ -175,7 +168,7 @@ class BuildingOracle:
 
     def shortest_path(self, floor: int, x: ArrayLike) -> Route:
         """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal, where its last leg ends."""
-        as_point("The start", x, 2)
+        _arrays.as_point("The start", x, 2)
         start = self.building.in_plane(floor, np.asarray(x)[None])
         (source,), _ = self.paths.first_turns(start)
         return self.floors.route(int(floor), start[0], int(source), self.paths.sources)
@@ -188,7 +181,7 @@ class BuildingOracle:
         floor.
         """
         building, sources, numbers = self.building, self.paths.sources, self.paths.root_numbers
-        require_integer("floor", floor, 0)
+        _arrays.require_integer("floor", floor, 0)
         if floor >= len(building.floors):
             raise IndexError(f"The building has floors 0 to {len(building.floors) - 1}, got {floor}.")
         bounds, shift = building.floors[floor].bounds, building.plane_floors.shift[floor]
@@ -212,5 +205,4 @@ class BuildingOracle:
 
         if isinstance(max_bytes := options.get("max_bytes"), int):
             options["max_bytes"] = max(1, max_bytes - len(self.floors.to_bytes()))
-        plr = construct(self.paths, self.building.plane.bounds, leaf=leaf, **options)
-        return BuildingPLR(self.floors, plr)
+        return BuildingPLR(self.floors, construct(self.paths, self.building.plane.bounds, leaf=leaf, **options))

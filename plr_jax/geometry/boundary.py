@@ -189,14 +189,12 @@ def vertices_near_edges(
     return vertex[apart], edge[apart]
 
 
-def boxes_near(
-    x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
-) -> Bool[np.ndarray, " n"]:
-    """Return, for each ``i``, whether the bounding box of the points ``x[i]`` is near the bounding box of ``others``.
+def boxes_near(x: Float[np.ndarray, "n k 2"], y: Float[np.ndarray, "m l 2"], reach: float) -> Bool[np.ndarray, " n"]:
+    """Return, for each ``i``, whether the bounding box of the points ``x[i]`` is near the bounding box of ``y``.
 
-    Boxes are near if they are at most ``reach`` apart along each axis. There is one box of all points ``others``.
+    Boxes are near if they are at most ``reach`` apart along each axis. There is one box of all points ``y``.
     """
-    lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
+    lo, hi = y.min(axis=(0, 1), initial=np.inf) - reach, y.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
@@ -353,10 +351,8 @@ def grid_at(tolerance: float) -> float:
 def advice_on_cells(value: object) -> str:
     """Return advice for an error message if ``value`` is an array of pixels or voxels, else an empty text."""
     other_library = "GridField for distances that another library computed"
-    advice = {
-        2: " For pixels, use Workspace.from_mask(free).",
-        3: f" For volumes, use VoxelSpace(free) with solve_eikonal, VoxelGraph(free, goal), or {other_library}.",
-    }
+    for_volumes = f"VoxelSpace(free) with solve_eikonal, VoxelGraph(free, goal), or {other_library}"
+    advice = {2: " For pixels, use Workspace.from_mask(free).", 3: f" For volumes, use {for_volumes}."}
     return advice.get(value.ndim, "") if isinstance(value, np.ndarray) else ""
 
 

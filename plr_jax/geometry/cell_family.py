@@ -4,7 +4,6 @@ Shortest paths from a sample point, or from a point of a piece, may turn first a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -18,7 +17,7 @@ from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, cente
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, corners_by_triangle, sorted_unique
 from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables
+from plr_jax.geometry.visibility import VisibilityTable
 
 _PAIRS = 1 << 18  # pairs of a sample and a corner in memory at a time
 _WALL_BOXES = 1 << 11  # boxes at walls in memory at a time
@@ -28,8 +27,7 @@ Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 Indices: TypeAlias = Int[np.ndarray, " cells"]
 
 
-@dataclass(frozen=True, eq=False)
-class FamilySamples:
+class FamilySamples(NamedTuple):
     """A sample point in each box that is not blocked, and the corners where paths from the sample may turn first."""
 
     x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
@@ -120,8 +118,7 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
     return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
 
-@dataclass(frozen=True, eq=False)
-class FamilyCells:
+class FamilyCells(NamedTuple):
     """The free space in boxes as convex pieces, and the corners that see them; built once for all goals on a map."""
 
     sight: Sight  # for any goal
@@ -223,11 +220,11 @@ def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[Family
     """Join the sources of several goals, one goal after the other, into one :class:`Sight`."""
     num, count = len(goals), 1 + len(corners.points)
     # 1. Viewpoints are all goals, then all corners. Keys begin with 4 times the viewpoint's index.
-    goal_table = joined_tables([goal.view for goal in goals])
+    goal_table = VisibilityTable.joined([goal.view for goal in goals])
     of_goals, of_corners = Shadows.of(goal_table), sight.shadows
     key, unit, start, end = concatenated((of_goals, of_corners), "key", "unit", "start", "end")
     key[len(of_goals.key) :] += 4.0 * num
-    shadows = Shadows(joined_tables([goal_table, of_corners.table]), key, unit, start, end)
+    shadows = Shadows(VisibilityTable.joined([goal_table, of_corners.table]), key, unit, start, end)
     # 2. Each goal has a row of sources, the goal and all corners. Find their viewpoints.
     view = np.tile(num - 1 + np.arange(count), (num, 1))
     view[:, 0] = np.arange(num)

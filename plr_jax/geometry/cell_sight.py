@@ -489,8 +489,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     """
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
-    shadows = Shadows.of(visibility.table)
-    return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation)
+    return Sight(sources, turns.vertex >> 1, turns.vertex, Shadows.of(visibility.table), turns, triangulation)
 
 
 def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:

@@ -12,14 +12,7 @@ from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import NO_ARCS, Arcs, FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
 from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
-from plr_jax.geometry.visibility import (
-    Viewpoints,
-    VisibilityTable,
-    joined_tables,
-    triangles_within,
-    viewpoints_at,
-    visibility_of,
-)
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
@@ -100,6 +93,14 @@ class CornerVisibility:
     # The index of each arc among the arcs given to :func:`with_places`, which copies some.
     given_arc: Int[np.ndarray, " arcs"] = field(default_factory=lambda: np.zeros(0, int))
 
+    @staticmethod
+    def of(workspace: Workspace) -> "CornerVisibility":
+        corners, views = find_corners(workspace)
+        table, (view, vertex) = visibility_of(workspace.triangulation, views)
+        seen = corner_of_vertex(workspace.boundary, views)[vertex]
+        view, seen = np.stack([view, seen])[:, (seen >= 0) & (seen != view)]
+        return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view, seen))
+
     @property
     def places(self) -> Int[np.ndarray, " places"]:
         """The indices of the places among the corners."""
@@ -110,13 +111,22 @@ class CornerVisibility:
         """The corner at each vertex of the boundary, -1 for none; places do not count."""
         return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
+    def in_sight(self, triangulation: Triangulation, views: Viewpoints) -> ViewsInSight:
+        """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
+        table, (view, vertex) = visibility_of(triangulation, views)
+        return table, self.mutual_pairs(table, view, self.of_vertex[vertex])
 
-def corner_visibility(workspace: Workspace) -> CornerVisibility:
-    corners, views = find_corners(workspace)
-    table, (view, vertex) = visibility_of(workspace.triangulation, views)
-    seen = corner_of_vertex(workspace.boundary, views)[vertex]
-    is_other = (seen >= 0) & (seen != view)
-    return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[is_other], seen[is_other]))
+    def mutual_pairs(self, table: VisibilityTable, view: Indices, corner: Indices) -> Pairs:
+        """Return the pairs of a viewpoint and a corner that see each other, each pair once, sorted.
+
+        ``table`` has what the viewpoints see. Viewpoint ``view[i]`` sees the vertex at ``corner[i]`` (-1: no corner).
+        """
+        # Places are no vertices of the boundary, so `corner` lacks them: test every viewpoint and place.
+        owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), self.places))
+        sees = table.sees(owner, self.table.points[place])
+        pairs = np.stack([np.append(view, owner[sees]), np.append(corner, place[sees])])
+        view, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
+        return np.stack([view, corner])[:, self.table.sees(corner, table.points[view])]
 
 
 def with_places(
@@ -136,7 +146,7 @@ def with_places(
     end, row = take_ragged(first, arcs.end[arc])
     places, copies = places[of], Arcs(count + start[row], count + end, arcs.length[arc[row]])
     # 2. Join each place to the corners that it sees and that see it, if paths from there can turn at the corner.
-    table, (place, corner) = views_in_sight(visibility, triangulation, views)
+    table, (place, corner) = visibility.in_sight(triangulation, views)
     joined = corners.is_tangent_to(corner, views.points[place]) & views.joins(place, visibility.views, corner)
     # 3. Join places that see each other.
     a, b = np.triu_indices(len(places), 1)
@@ -145,31 +155,12 @@ def with_places(
     return CornerVisibility(
         corners.with_points(places, count),
         visibility.views.append(views),
-        joined_tables([visibility.table, table]),
+        VisibilityTable.joined([visibility.table, table]),
         np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),
         len(places),
         copies,
         arc[row],
     )
-
-
-def views_in_sight(visibility: CornerVisibility, triangulation: Triangulation, views: Viewpoints) -> ViewsInSight:
-    """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
-    table, (view, vertex) = visibility_of(triangulation, views)
-    return table, mutual_pairs(visibility, table, view, visibility.of_vertex[vertex])
-
-
-def mutual_pairs(visibility: CornerVisibility, table: VisibilityTable, view: Indices, corner: Indices) -> Pairs:
-    """Return the pairs of a viewpoint and a corner that see each other, each pair once, sorted.
-
-    ``table`` has what the viewpoints see. Viewpoint ``view[i]`` sees the vertex at ``corner[i]`` (-1: no corner).
-    """
-    # Places are no vertices of the boundary, so `corner` lacks them: test every viewpoint and place.
-    owner, place = (each.ravel() for each in np.meshgrid(np.arange(len(table.points)), visibility.places))
-    sees = table.sees(owner, visibility.table.points[place])
-    pairs = np.stack([np.append(view, owner[sees]), np.append(corner, place[sees])])
-    view, corner = np.unique(pairs[:, pairs[1] >= 0], axis=1)
-    return np.stack([view, corner])[:, visibility.table.sees(corner, table.points[view])]
 
 
 def mutually_visible_pairs(
@@ -243,8 +234,7 @@ class TurnPoints:
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
-            height = x @ normal.T
-            length[height < (self.points * normal).sum(axis=1) - self.slack] = np.nan
+            length[x @ normal.T < (self.points * normal).sum(axis=1) - self.slack] = np.nan
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:

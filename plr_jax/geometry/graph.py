@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse import csgraph as sparse_graphs
 
-from plr_jax._arrays import path_from_root
+from plr_jax._arrays import path_from_root, slices
 from plr_jax._types import Points
 
 if TYPE_CHECKING:
@@ -161,18 +161,13 @@ def first_visible_in_parts(
     ``lengths`` maps a slice of points to the lengths of their ``num_ways`` paths.
     """
     visible_way, shortest = np.empty((n, count), int), np.empty((n, count))
-    step = max(1, _CHUNK // max(1, num_ways))
-    for begin in range(0, n, step):
-        rows = slice(begin, min(begin + step, n))
-        visible_way[rows], shortest[rows] = first_visible(
-            lengths(rows), lambda point, way, begin=begin: sees(begin + point, way), count
-        )
+    for rows in slices(n, max(1, _CHUNK // max(1, num_ways))):
+        found = first_visible(lengths(rows), lambda i, way, rows=rows: sees(rows.start + i, way), count)
+        visible_way[rows], shortest[rows] = found
     return visible_way, shortest
 
 
-def first_visible_ragged(
-    lengths: Float[np.ndarray, " pairs"], counts: Int[np.ndarray, " n"], sees: Sees
-) -> FirstVisible:
+def first_visible_ragged(lengths: Float[np.ndarray, " p"], counts: Int[np.ndarray, " n"], sees: Sees) -> FirstVisible:
     """Return, for each point, the index in ``lengths`` of its shortest visible path, and the length of this path.
 
     If a point has no visible path, the index is -1 and the length ``inf``. ``lengths`` has the lengths of

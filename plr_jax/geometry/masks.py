@@ -1,9 +1,8 @@
 """Conversion of the free pixels of an image to polygons with holes: outlines are traced exactly, then simplified."""
 
 import math
-from dataclasses import dataclass
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -52,8 +51,7 @@ def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
     return faces[free[tuple(least.T)]], touches
 
 
-@dataclass(frozen=True, eq=False)
-class _Stations:
+class _Stations(NamedTuple):
     """The *stations*: points of exact outlines of pixels at which simplified outlines may bend."""
 
     points: Points  # corners and some middles of edges of outlines

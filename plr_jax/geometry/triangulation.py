@@ -192,13 +192,11 @@ class Triangulation(PickledWithoutCaches):
             placed[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
         return LocatedPoints(placed, triangle, turn == 0)
 
-    def are_joined(
-        self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
-    ) -> Bool[np.ndarray, " n"]:
+    def are_joined(self, a: LocatedPoints, b: LocatedPoints, within: float, squeeze: bool) -> Bool[np.ndarray, " n"]:
         """Return whether a free path joins each point of ``a`` to the point of ``b`` in the same row.
 
-        The path must stay within ``tolerance`` of the straight segment. It may pass through *contacts*, points where
-        the region touches itself. Without ``squeeze``, it may pass only contacts at an end of the segment.
+        The path must stay at most ``within`` away from the straight segment. It may pass through *contacts*, points
+        where the region touches itself. Without ``squeeze``, it may pass only contacts at an end of the segment.
         """
         # Breadth-first search of triangles, for all segments at once: state pair * num + triangle. The neighbors of a
         # level lie in this level, the one before, or the next one, so only two levels are remembered.
@@ -219,14 +217,14 @@ class Triangulation(PickledWithoutCaches):
             corners = self.triangles[triangle]
             sides: Any = shapely.linestrings(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
             twin, contact = (table.reshape(-1, 3)[triangle] for table in (self.twin, contacts))
-            row, side = np.nonzero((twin >= 0) & shapely.dwithin(segments[pair, None], sides, tolerance))
+            row, side = np.nonzero((twin >= 0) & shapely.dwithin(segments[pair, None], sides, within))
             onward = pair[row] * np.int64(num) + twin[row, side] // 3
             # 4. Go on to all triangles around contacts near the segment.
             if len(self.boundary.contacts):
                 is_end = (corners == a.x[pair, None]).all(axis=2) | (corners == b.x[pair, None]).all(axis=2)
                 row, corner = np.nonzero((contact >= 0) & (squeeze | is_end))
                 points: Any = shapely.points(corners[row, corner])
-                is_near = shapely.dwithin(segments[pair[row]], points, tolerance)
+                is_near = shapely.dwithin(segments[pair[row]], points, within)
                 row, corner = row[is_near], corner[is_near]
                 entry, index = take_ragged(first, contact[row, corner])
                 onward = np.append(onward, pair[row[index]] * np.int64(num) + around[entry] // 3)

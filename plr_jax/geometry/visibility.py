@@ -107,8 +107,7 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
     """
     boundary, places = triangulation.boundary, triangulation.place(x)
     # A point at a vertex owns the sectors of all edges that start there. A point inside of a wall owns one sector.
-    starts = boundary.vertices[boundary.edges[:, 0]]
-    owner = index_of(places.x @ [1, 1j], starts @ [1, 1j])
+    owner = index_of(places.x @ [1, 1j], boundary.vertices[boundary.edges[:, 0]] @ [1, 1j])
     edge = np.flatnonzero(owner >= 0)
     wall = triangulation.wall[3 * places.triangle + places.on_side.argmax(axis=1)]
     on_wall = np.setdiff1d(np.flatnonzero(places.on_side.any(axis=1) & (wall >= 0)), owner)
@@ -261,6 +260,15 @@ class VisibilityTable:
     edge: Int[np.ndarray, " intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
     vertex: Int[np.ndarray, " intervals"]  # in the direction at which an interval starts; -1 at the cut
 
+    @staticmethod
+    def joined(tables: "Sequence[VisibilityTable]") -> "VisibilityTable":
+        """Join visibility tables of one boundary into one table, which has the viewpoints of all tables, in order."""
+        points, cut, key, edge, vertex = concatenated(tables, "points", "cut", "key", "edge", "vertex")
+        first = np.append(0, np.cumsum(np.concatenate([np.diff(table.first) for table in tables])))
+        views = np.cumsum([0] + [len(table.points) for table in tables[:-1]])
+        key += 4.0 * np.repeat(views, [len(table.key) for table in tables])
+        return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, key, edge, vertex)
+
     @property
     def blur(self) -> float:
         """Upper bound of the rounding errors in ``key``."""
@@ -334,15 +342,6 @@ def _key_error(num_views: int) -> float:
     return _BLUR + np.spacing(8.0 * num_views)
 
 
-def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    """Join visibility tables of one boundary into one table, which has the viewpoints of all tables, in order."""
-    points, cut, key, edge, vertex = concatenated(tables, "points", "cut", "key", "edge", "vertex")
-    first = np.append(0, np.cumsum(np.concatenate([np.diff(table.first) for table in tables])))
-    views = np.cumsum([0] + [len(table.points) for table in tables[:-1]])
-    key += 4.0 * np.repeat(views, [len(table.key) for table in tables])
-    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, key, edge, vertex)
-
-
 def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
     """Return the visibility polygons of viewpoints, and pairs (viewpoint, visible vertex) as indices.
 
@@ -355,7 +354,7 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
             tables.append(table)
             seen.append(of_part + np.array([[begin], [0]], np.int32))
             progress.update(len(table.points))
-    return joined_tables(tables), np.concatenate(seen, axis=1)
+    return VisibilityTable.joined(tables), np.concatenate(seen, axis=1)
 
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:

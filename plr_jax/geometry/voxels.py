@@ -71,9 +71,7 @@ class VoxelGrid:
     @cached_property
     def faces(self) -> list[Float[np.ndarray, "faces"]]:
         """Coordinates of the faces along each axis, ascending, with ``-inf`` in front and ``inf`` at the end."""
-        inner = (
-            self.bounds.at(np.arange(num + 1)[:, None] / num).T[axis] for axis, num in enumerate(self.free.shape)
-        )
+        inner = (self.bounds.at(np.arange(n + 1)[:, None] / n).T[axis] for axis, n in enumerate(self.free.shape))
         return [np.pad(of_axis, 1, constant_values=(-np.inf, np.inf)) for of_axis in inner]
 
     @cached_property
@@ -151,12 +149,9 @@ class VoxelGrid:
         the table means the face between voxels ``k`` and ``k + 1`` along a normal axis, and voxel ``k`` along any
         other axis.
         """
-        return [
-            (across, Sums(touches))
-            for num_across in range(2, self.dim + 1)
-            for across in combinations(range(self.dim), num_across)
-            if (touches := are_disconnected(self.padded, across)).any()
-        ]
+        several = (across for num in range(2, self.dim + 1) for across in combinations(range(self.dim), num))
+        contacts = ((across, are_disconnected(self.padded, across)) for across in several)
+        return [(across, Sums(touches)) for across, touches in contacts if touches.any()]
 
 
 class Sums:

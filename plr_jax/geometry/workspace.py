@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import shapely
@@ -89,9 +89,7 @@ class Workspace:
         shapely.intersects_xy(self.free_space, *self.bounds.lo)
 
     @classmethod
-    def from_polygons(
-        cls, components: Any, bounds: Box | ArrayLike | None = None, *, squeeze: bool = False
-    ) -> "Workspace":
+    def from_polygons(cls, components: Any, bounds: Box | ArrayLike | None = None, *, squeeze: bool = False) -> Self:
         """Build a workspace whose free space is given as polygons with holes.
 
         ``components`` is a Shapely polygon, multipolygon or collection; or a list of such geometries and of mappings
@@ -113,7 +111,7 @@ class Workspace:
         tolerance: float | int = 0.5,
         drop_specks: int = 0,
         squeeze: bool = False,
-    ) -> "Workspace":
+    ) -> Self:
         """Build a workspace whose free space is given as pixels; its bounds are the bounding box of free space.
 
         Free pixels are 4-connected and blocked pixels 8-connected: where free pixels touch at a corner only,
@@ -139,7 +137,7 @@ class Workspace:
     @classmethod
     def _from_free_space(
         cls, bounds: Box, free: Any, squeeze: bool, rounded: Callable[[Any, float], Any] = shapely.set_precision
-    ) -> "Workspace":
+    ) -> Self:
         box = shapely.box(*bounds.lo, *bounds.hi)
         blocked = np.array(boundary.polygons_of(shapely.difference(box, free)), object)
         # Drop slivers, whose area is less than half their perimeter times the grid spacing.

@@ -21,19 +21,10 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changes import Change, changed_triangulation, changed_visibility
-from plr_jax.geometry.corners import (
-    CornerVisibility,
-    TurnPoints,
-    TurnRegions,
-    ViewsInSight,
-    corner_visibility,
-    find_turn_points,
-    mutual_pairs,
-    views_in_sight,
-)
+from plr_jax.geometry.corners import CornerVisibility, TurnPoints, TurnRegions, ViewsInSight, find_turn_points
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables, viewpoints_at
+from plr_jax.geometry.visibility import VisibilityTable, viewpoints_at
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -80,10 +71,10 @@ class VisibilityGraph(PickledWithoutCaches):
         require_workspace(workspace)
         goal = _free_goal(workspace, goal) if goal_view is None else np.asarray(goal)
         # 1. Find what the corners see, and what the goal sees.
-        shared = shared or PairDistances(workspace, corner_visibility(workspace))
+        shared = shared or PairDistances(workspace, CornerVisibility.of(workspace))
         corners = shared.visibility
         mesh = workspace.triangulation
-        goal_table, (_, corner) = goal_view or views_in_sight(corners, mesh, viewpoints_at(mesh, goal[None]))
+        goal_table, (_, corner) = goal_view or corners.in_sight(mesh, viewpoints_at(mesh, goal[None]))
         # 2. Join the goal, vertex 0, to the corners that it sees and that see it.
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
         set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_table, _goal_edges=edges)
@@ -119,7 +110,7 @@ class VisibilityGraph(PickledWithoutCaches):
         view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, (goal_table, seen) = changed_visibility(self.family, old_view, view, workspace, change)
-        goal_view = goal_table, mutual_pairs(corners, goal_table, np.zeros(len(seen), int), seen)
+        goal_view = goal_table, corners.mutual_pairs(goal_table, np.zeros(len(seen), int), seen)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def __repr__(self) -> str:
@@ -152,7 +143,7 @@ class VisibilityGraph(PickledWithoutCaches):
     @cached_property
     def sight(self) -> Sight:
         """Data to find which ``sources`` come first on shortest paths from a convex part of free space."""
-        table = joined_tables([self._goal_table, self.family.table])
+        table = VisibilityTable.joined([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
@@ -379,9 +370,8 @@ class NearestPaths:
         """Find the paths to ``goals``, points ``(n, 2)`` of free space; using them costs the ``offsets`` ``(n,)``."""
         # 1. Keep the cheapest of goals at one point.
         mesh, num_goals = workspace.triangulation, len(goals)
-        place = mesh.place(goals).x
         order = np.argsort(offsets, kind="stable")
-        _, cheapest = np.unique(place[order], axis=0, return_index=True)
+        _, cheapest = np.unique(mesh.place(goals).x[order], axis=0, return_index=True)
         kept = np.sort(order[cheapest])
         # 2. Split goals where obstacles touch, so that no path to another goal passes there between the obstacles.
         views, copied = viewpoints_at(mesh, goals[kept]).split()
@@ -390,21 +380,19 @@ class NearestPaths:
         #    all paths. An arc leads there from each goal, whose length is the goal's offset. Dijkstra's algorithm
         #    starts at this end, so all arcs are reversed.
         count, vertices = len(kept), corners.corners.with_points(goals[kept])
-        table, (goal, corner) = views_in_sight(corners, mesh, views)
+        table, (goal, corner) = corners.in_sight(mesh, views)
         goal, corner = np.stack([goal, corner])[:, views.joins(goal, corners.views, corner)]
         end = len(vertices.points)
-        number = np.append(kept, num_goals + corners.given_arc)
         start = np.append(np.arange(count), count + corners.arcs.start)
         onward = np.append(np.full(count, end), count + corners.arcs.end)
         arcs = Arcs(onward, start, np.append(offsets[kept], corners.arcs.length))
-        points = np.concatenate([vertices.points, vertices.points[:1]])
         edges = np.concatenate([np.stack([goal, count + corner], axis=1), count + corners.edges])
-        adjacency = Graph(points, edges, arcs=arcs).adjacency
+        adjacency = Graph(np.concatenate([vertices.points, vertices.points[:1]]), edges, arcs=arcs).adjacency
         distances, parents = dijkstra(adjacency, end)
         # 4. Find the roots: vertices whose paths start with an arc. If equal arcs leave a vertex, the first counts.
         numbers, exits = np.full(end, -1), np.arange(end)
         taken = np.flatnonzero((parents[start] == onward) & (adjacency[onward, start] == arcs.length))[::-1]
-        numbers[start[taken]] = number[taken]
+        numbers[start[taken]] = np.append(kept, num_goals + corners.given_arc)[taken]
         exits[start[taken]] = np.where(taken < count, start[taken], onward[taken])
         parents = np.where(numbers < 0, parents[:-1], -1)
         sources = Sources.of_graph(vertices.points, distances[:-1], parents, numbers, exits)
@@ -415,7 +403,7 @@ class NearestPaths:
         turns = find_turn_points(rounded, sources.distances, parents, num_goals=0)
         turns = replace(turns, points=vertices.points[turns.vertex])
         regions = TurnRegions.of(turns, mesh, views[turns.vertex])
-        return cls(workspace, sources, numbers, regions, joined_tables([table, corners.table]))
+        return cls(workspace, sources, numbers, regions, VisibilityTable.joined([table, corners.table]))
 
     def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
         """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""

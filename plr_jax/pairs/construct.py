@@ -20,7 +20,7 @@ from plr_jax.geometry.boundary import Boundary, vertices_near_edges
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.corners import CornerVisibility, corner_visibility
+from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.graph import Arcs
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
@@ -170,13 +170,11 @@ class _ListTree:
         return self.lists.of_cells(np.flatnonzero(is_in_tree & ~is_halved))
 
 
-def grow_lists(
-    root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
-) -> Lists:
+def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_bytes: Callable[[Lists], int]) -> Lists:
     """Partition the domain into cells that list the corners of obstacles where shortest paths may turn first.
 
     ``root`` has the convex pieces of all free space, and the corners that each piece may see. The result has at most
-    ``most_leaves`` cells. Halvings that help least are undone until the size of the file, which ``num_bytes``
+    ``most`` cells. Halvings that help least are undone until the size of the file, which ``num_bytes``
     computes from the cells and lists, is at most ``limits.max_bytes``.
     """
     # 1. Halve the cells of the largest keys in each round, until halving more makes queries no faster or a limit is
@@ -188,7 +186,7 @@ def grow_lists(
         # All nodes that have been halved have keys above 0, so `leaves_above(0.0)` are the leaves of the whole tree.
         leaves = np.flatnonzero(tree.is_leaf)
         key = tree.key[leaves]
-        if key.sum() <= stop_at or len(tree) >= most_leaves or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
+        if key.sum() <= stop_at or len(tree) >= most or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
             return None
         return _with_halves(tree, leaves[key > _LEAST_RELATIVE_KEY * key.max()], domain, limits)
 
@@ -199,7 +197,7 @@ def grow_lists(
     #    key, above which no node is halved.
     def fits(key: float) -> bool:
         leaves = tree.leaves_above(key)
-        return len(leaves.cells) <= most_leaves and num_bytes(leaves) <= limits.max_bytes
+        return len(leaves.cells) <= most and num_bytes(leaves) <= limits.max_bytes
 
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
     return tree.leaves_above(keys[bisect_left(keys[:-1], True, key=fits)])
@@ -267,7 +265,7 @@ def construct_stored(
     # A corner c has several corners f, such as two at a sharp tip, or none: order[first[c] : first[c + 1]].
     #
     # 1. Round the boundary of free space to a lattice, and find its corners.
-    visibility = visibility or corner_visibility(workspace)
+    visibility = visibility or CornerVisibility.of(workspace)
     width = float(domain.width.max())
     outline, vertex = outline_of(workspace.boundary, domain.lo, width, workspace.tolerance)
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
@@ -277,10 +275,8 @@ def construct_stored(
     point_of, corner_of = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
     corner_of, num_corners = np.append(corner_of, places), len(point_of) + len(places)
     if num_corners > MOST_CORNERS:
-        raise ValueError(
-            f"The workspace may have at most {MOST_CORNERS:,} corners, got {num_corners:,}: simplify its polygons, "
-            "or ask a VisibilityGraph."
-        )
+        advice = "simplify its polygons, or ask a VisibilityGraph"
+        raise ValueError(f"The workspace may have at most {MOST_CORNERS:,} corners, got {num_corners:,}: {advice}.")
     shift = num_corners - len(visibility.corners.points)
     arcs = Arcs(shift + visibility.arcs.start, shift + visibility.arcs.end, visibility.arcs.length)
     order = np.argsort(corner_of, kind="stable")

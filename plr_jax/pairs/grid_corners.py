@@ -19,9 +19,8 @@ and references. ``grid_query.py`` has the query.
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -46,10 +45,8 @@ _MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take mi
 _MOST_STEPS_FROM_CENTER = {4: 63, 8: 16}
 _DIFFERENCE_TYPES = {4: np.dtype(np.int8), 8: np.dtype(np.int16)}
 _AT_ONCE = 2**22  # cells listed in one step, which bounds the memory
-_TOO_LARGE = (
-    "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work: cut the map, or "
-    "use a GridGraph, which searches."
-)
+_MANY = "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work"
+_TOO_LARGE = f"{_MANY}: cut the map, or use a GridGraph, which searches."
 _TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
 _DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # steps along rows and columns
 Grid = Bool[np.ndarray, "rows columns"]
@@ -161,8 +158,7 @@ def taut_corners(free: Grid, connectivity: int) -> tuple[Int[np.ndarray, " cells
     return table.indptr, table.indices
 
 
-@dataclass(frozen=True)
-class _Sector:
+class _Sector(NamedTuple):
     """A quadrant or octant around each corner, in a flipped, mirrored or transposed view of the grid.
 
     ::

@@ -203,8 +203,8 @@ class GridPairs:
         """
         require_identifier(name)
         tables, distances = self.tables, self.tables.distances
-        arrays = {"free": tables.sight.free, "sums": tables.sight.sums}
-        arrays |= {key: getattr(tables, key) for key in ("group_block", "cell_block", "blocks", "row", "column")}
+        names = "free", "sums", "group_block", "cell_block", "blocks", "row", "column"
+        arrays = {key: getattr(tables, key) for key in names}
         arrays |= {field.name: getattr(distances, field.name) for field in fields(distances)}
         # 1. Write the file of tables, little-endian and aligned, and a C function that reads each table.
         file, accessors = _C_MAGIC, []
@@ -212,10 +212,8 @@ class GridPairs:
             data = np.ascontiguousarray(np.asarray(array)).astype(array.dtype.newbyteorder("<"))
             file += bytes(-len(file) % _ALIGNED)
             c_type = f"{'u' if data.dtype.kind == 'u' else ''}int{8 * data.dtype.itemsize}_t"
-            accessors.append(
-                f"static inline int32_t {name}_{table_name}(uint32_t i)\n"
-                f"{{ return (int32_t)((const {c_type} *)(const void *)({name}_data + {len(file)}u))[i]; }}"
-            )
+            value = f"((const {c_type} *)(const void *)({name}_data + {len(file)}u))[i]"
+            accessors += [f"static inline int32_t {name}_{table_name}(uint32_t i)", f"{{ return (int32_t){value}; }}"]
             file += data.tobytes()
         file += zlib.crc32(file).to_bytes(4, "little")
         # 2. Write the text: sections of the template, with marks replaced by constants of the grid.

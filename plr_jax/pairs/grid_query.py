@@ -48,27 +48,33 @@ _Points = Num[Array, "*batch 2"] | Num[np.ndarray, "*batch 2"]
 _Steps = Float[Array, "*batch"] | Float[np.ndarray, "*batch"]
 _Lengths = Int32[Array, "n"]
 _Bits = UInt32[Array, "n"]  # of each cell, one bit for each of 32 blocks of corners
-_BitsAndLength = tuple[_Bits, _Bits, _Lengths]
 _Scalar = Int[Array, ""]
 _Corners = Int32[Array, "n 4"]  # a block of corners of each cell, or their distances
 _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 
 
 @pytree
-class IllegalSteps:
-    """Tables of a grid: which cells are free, and prefix sums that count blocked cells and illegal diagonal steps.
+class GridTables:
+    """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances.
 
-    From the prefix sums, :func:`sees` counts the blocked cells or illegal steps between two cells.
+    The corners of a cell are stored in blocks of four. Prefix sums count blocked cells and illegal diagonal steps:
+    from them, :func:`sees` finds how many are between two cells.
     """
 
-    sums: Integer[Array, " sums"]  # flattened tables, each with a row and a column of zeros in front
     free: UInt32[Array, " words"]  # one bit for each cell in row-major order, lowest bit of a word first
+    sums: Integer[Array, " sums"]  # flattened tables, each with a row and a column of zeros in front
+    group_block: Int32[Array, " groups"]  # first block of corners of each group of 16 cells, in row-major order
+    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to its group's first block
+    blocks: Integer[Array, "blocks 4"]  # corners of cells; a cell's last corner fills up its last block
+    row: Int32[Array, " corners"]
+    column: Int32[Array, " corners"]
+    distances: CornerTable | CornerLabels
     shape: tuple[int, int] = field(metadata={"static": True})
     connectivity: int = field(metadata={"static": True})
 
 
-def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
-    """Build the tables of a grid by which :func:`sees` tests whether two cells see each other."""
+def _sums_of(free: Grid, connectivity: int) -> Int[np.ndarray, " sums"]:
+    """Build the tables of sums of a grid by which :func:`sees` tests whether two cells see each other."""
     # A table of sums has a row and a column of zeros in front. Entry (r + 1, c + 1) counts
     # - 4-connected: blocked cells in rows up to r and columns up to c;
     # - 8-connected, row sums: blocked cells in row r and columns up to c;
@@ -104,18 +110,16 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
         tables = []
         for grid in (free, free.T):  # illegal steps of the grid and of its mirror image, blocked cells in rows
             tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), sums_along_rows(~grid & is_beside_free(grid))]
-    flat = np.concatenate([table.ravel() for table in tables])
-    bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
-    return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
+    return np.concatenate([table.ravel() for table in tables])
 
 
-def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
+def is_free(tables: GridTables, cells: Cells) -> Flags:
     # Cell i, in row-major order, has bit i % 32 of word i // 32.
-    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(np.uint32)
-    return (looked_up(sight.free, cell >> 5) >> (cell & 31) & 1).astype(bool)
+    cell = (cells[:, 0] * tables.shape[1] + cells[:, 1]).astype(np.uint32)
+    return (looked_up(tables.free, cell >> 5) >> (cell & 31) & 1).astype(bool)
 
 
-def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
+def sees(tables: GridTables, p: Cells, q: Cells) -> Flags:
     """Return, for each pair of cells ``p[i]`` and ``q[i]``, whether they see each other.
 
     Two cells see each other if both are free and no obstacle blocks any path between them that would be shortest on
@@ -123,17 +127,17 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     """
     # It suffices to test that p is free: if only q is blocked, the sums count q, a cell before q, or a step before q.
     xp: Any = np if isinstance(p, np.ndarray) else jnp
-    sums = xp.asarray(sight.sums)
+    sums = xp.asarray(tables.sums)
 
     def between(row: Ints, column: Ints, last_column: Ints) -> Ints:
         # The sum over columns; `row` is the index in `sums` of the first entry of a row. Sums may be unsigned.
         return sums[row + last_column + 1].astype(np.int32) - sums[row + column].astype(np.int32)
 
-    if sight.connectivity == 4:  # the rectangle between the cells must be free
+    if tables.connectivity == 4:  # the rectangle between the cells must be free
         (row, column), (last_row, last_column) = xp.minimum(p, q).T, xp.maximum(p, q).T
-        stride = sight.shape[1] + 1
+        stride = tables.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
-        return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
+        return is_free(tables, p) & (between(below, column, last_column) == between(above, column, last_column))
     # If the cells are in one row or column, no cell between may be blocked. Else no diagonal step of the
     # parallelogram between them may be illegal:
     #
@@ -147,7 +151,7 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     is_transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
     is_mirrored = offset[:, 0] * offset[:, 1] < 0
     is_straight = (offset == 0).any(axis=1)
-    rows, columns = sight.shape
+    rows, columns = tables.shape
     width = xp.where(is_transposed, rows, columns)
     (row, column), (other_row, other_column) = (xp.where(is_transposed, end[:, ::-1].T, end.T) for end in (p, q))
     column, other_column = (xp.where(is_mirrored, width - 1 - end, end) for end in (column, other_column))
@@ -159,36 +163,12 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
     until_first = xp.where(is_straight, 0, between(first, column, last_column - aside))
-    return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
+    return is_free(tables, p) & (between(last, column + aside, last_column) == until_first)
 
 
 def _narrow(numbers: Int[np.ndarray, " n"]) -> Integer[np.ndarray, " n"]:
     # The same numbers, which are at least 0, in as few bytes as the largest one needs.
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
-
-
-@pytree
-class GridTables:
-    """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances.
-
-    The corners of a cell are stored in blocks of four.
-    """
-
-    sight: IllegalSteps
-    group_block: Int32[Array, " groups"]  # first block of corners of each group of 16 cells, in row-major order
-    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to its group's first block
-    blocks: Integer[Array, "blocks 4"]  # corners of cells; a cell's last corner fills up its last block
-    row: Int32[Array, " corners"]
-    column: Int32[Array, " corners"]
-    distances: CornerTable | CornerLabels
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self.sight.shape
-
-    @property
-    def connectivity(self) -> int:
-        return self.sight.connectivity
 
 
 def tables_of(free: Grid, connectivity: int) -> GridTables:
@@ -207,9 +187,11 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     group_block = first_block[::GROUP]
     cell_block = first_block - np.repeat(group_block, GROUP)[: len(first_block)]
     row, column = (places.astype(np.int32) for places in np.nonzero(grid_corners.corner_cells(free)))
-    arrays = map(jnp.asarray, (group_block.astype(np.int32), _narrow(cell_block), blocks, row, column))
     distances = grid_corners.corner_distances(free, connectivity)
-    tables = GridTables(sight_of(free, connectivity), *arrays, distances=distances)
+    bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
+    of_cells = bits, _narrow(_sums_of(free, connectivity)), group_block.astype(np.int32), _narrow(cell_block), blocks
+    arrays = map(jnp.asarray, (*of_cells, row, column))
+    tables = GridTables(*arrays, distances, free.shape, connectivity)
     # Queries also read empty tables, and ignore the value: give empty tables one entry.
     return jax.tree.map(lambda a: a if a.size else jnp.zeros([max(n, 1) for n in a.shape], a.dtype), tables)
 
@@ -232,7 +214,7 @@ def evaluate_few(tables: GridTables, x: _Points, y: _Points) -> _Steps | None:
     if len(p) > _MOST_FEW:
         return None
     lengths = open_length(tables.connectivity, *np.abs(p - q).T)
-    hidden = np.flatnonzero(p_is_inside & q_is_inside & ~sees(tables.sight, p, q))
+    hidden = np.flatnonzero(p_is_inside & q_is_inside & ~sees(tables, p, q))
     # 2. For other pairs, try all combinations of a block of the first cell and a block of the second cell.
     #    Combination `number` has block `number // other_count` of the first cell, `number % other_count` of the
     #    second.
@@ -260,7 +242,7 @@ def evaluate_to(tables: GridTables, from_goal: Int32[Array, " corners"], goal: I
     q = jnp.broadcast_to(goal, p.shape)
     around = partial(_least_around, tables, onward=partial(looked_up, from_goal))
     direct = open_length(tables.connectivity, *jnp.abs(p - q).T)
-    lengths = jnp.where(sees(tables.sight, p, q), direct, part_by_part(around, _CHUNK, p))
+    lengths = jnp.where(sees(tables, p, q), direct, part_by_part(around, _CHUNK, p))
     return _in_steps(tables.connectivity, lengths, is_inside).reshape(x.shape[:-1])
 
 
@@ -296,7 +278,7 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     Pairs are answered in chunks. They are sorted first, so that the pairs of a chunk take equally long.
     """
     # A loop over blocks takes as long for a chunk as for its slowest pair.
-    is_seen = sees(tables.sight, p, q)
+    is_seen = sees(tables, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
         length, bits_p, bits_q = _most_likely(tables, p, q, is_seen)
         return _least_over_blocks(tables, _PendingBlocks(p, bits_p), _PendingBlocks(q, bits_q), length)
@@ -418,7 +400,7 @@ def _least_over_blocks(tables: GridTables, of_p: _PendingBlocks, of_q: _PendingB
         number_p, number_q = jnp.divmod(pair, of_q.num_words(tables))
         word_p, word_q = of_p.word(tables, number_p), of_q.word(tables, number_q)
 
-        def with_pair_of_bits(state: _BitsAndLength) -> _BitsAndLength:
+        def with_pair_of_bits(state: tuple[_Bits, _Bits, _Lengths]) -> tuple[_Bits, _Bits, _Lengths]:
             # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
             # bit of the first cell, go through all bits of the second cell, then start these again.
             bits_p, bits_q, length = state

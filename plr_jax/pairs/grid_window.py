@@ -45,7 +45,7 @@ def distances_around(
     row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
     on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
     in_grid = jnp.stack([jnp.where(on_grid, along, 0).ravel() for along in (row, column)], axis=-1)
-    free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
+    free = on_grid & is_free(tables, in_grid).reshape(on_grid.shape)
     # 2. Number the rim of a square from cell to neighbor cell, starting at a corner. With radius r:
     #
     #       0     1 ...   2r       `rim` has the rows and columns of these cells in the square.
@@ -136,14 +136,13 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: _Ri
     wanted = jnp.full(is_wanted.size + size, is_wanted.size, jnp.int32)
     wanted = wanted.at[jnp.where(is_wanted, end - count + until - 1, len(wanted))].set(all_cells, mode="drop")
     # 2. Look them up in batches.
-    flat = cells.reshape(-1, 2)
 
     def with_batch(number_of_batch: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
         batch = lax.dynamic_slice(wanted, (number_of_batch * size,), (size,))
         cell = jnp.minimum(batch, is_wanted.size - 1)
         start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
-        ends = start, jnp.where((batch < is_wanted.size)[:, None], flat[cell], start)
+        ends = start, jnp.where((batch < is_wanted.size)[:, None], cells.reshape(-1, 2)[cell], start)
         return lengths.at[batch].set(lengths_between_cells(tables, *ends), mode="drop")
 
     return lax.fori_loop(0, -(-end[-1] // size), with_batch, lengths.ravel()).reshape(lengths.shape)

@@ -44,7 +44,7 @@ Walls = Float[np.ndarray, "walls 4"]
 Entries = Int[np.ndarray, "entries"]  # a number for each list entry: a leaf, and a corner that the leaf lists
 EntryPoints = Float[np.ndarray, "entries 2"]
 Hulls = tuple[EntryPoints, EntryPoints, EntryPoints]  # each is the convex hull of a box (two corners) and a point
-PairIndices = Int[np.ndarray, "pairs"]
+Pairs = Int[np.ndarray, "pairs"]  # a number for each pair
 _Shape = tuple[int, int]
 NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list entries, and a wall near each
 
@@ -229,9 +229,7 @@ def _near_entries(
     return entry, wall
 
 
-def _near_pairs(
-    hulls: Hulls, entry: PairIndices, walls: Walls, wall: PairIndices, margin: float
-) -> Int[np.ndarray, " near"]:
+def _near_pairs(hulls: Hulls, entry: Pairs, walls: Walls, wall: Pairs, margin: float) -> Int[np.ndarray, " near"]:
     """Return the indices ``k`` for which the hull of index ``entry[k]`` and the wall of index ``wall[k]`` are near.
 
     No pair within ``margin`` of one another is missing; a few pairs are farther apart.

@@ -123,9 +123,7 @@ def _merge_halves(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells
     for split in reversed(tree.splits):
         lower, upper = apex[tree.child[split]], apex[tree.child[split] + 1]
         apex[split] = np.where(lower == upper, lower, -2)
-    # 2. From the root down: whether a node lies in a node with one apex. The largest nodes with one apex are kept.
-    is_inside = np.zeros(len(tree.child), bool)
-    for split in tree.splits:
-        is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (apex[split] > -2)
-    merged = np.flatnonzero((apex > -2) & ~is_inside)
+    # 2. Keep the largest nodes with one apex: the root, or halves of nodes with several.
+    largest = np.append(0, tree.halves(np.flatnonzero(apex == -2)))
+    merged = np.sort(largest[apex[largest] > -2])
     return tree.cells[merged], apex[merged]

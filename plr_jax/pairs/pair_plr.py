@@ -98,7 +98,7 @@ class PairPLR(FileBacked):
             expected = f"Goals must have been prepared by these pairs, of {corners} corners"
             raise ValueError(f"{expected}, got goals of {size} corners: call prepared of these pairs.")
         in_numpy = partial(NumpyPairs.distances_to, outside=outside)
-        return self._answer(batch, partial(_distances_to, goals=y, outside=outside), in_numpy, x, goals=y)[0]
+        return self._answer(batch, partial(_to_goals, goals=y, outside=outside), in_numpy, x, goals=y)[0]
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
@@ -132,8 +132,7 @@ class PairPLR(FileBacked):
         if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
         """
         x, y = self._from_middle("x", x), self._from_middle("y", y)
-        batch = broadcast_shape("x and y", x, y)[:-1]
-        return self._answer(batch, _bounds, NumpyPairs.bounds_between, x, y)
+        return self._answer(broadcast_shape("x and y", x, y)[:-1], _bounds, NumpyPairs.bounds_between, x, y)
 
     def to(self, goal: ArrayLike) -> PLR:
         """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
@@ -345,13 +344,11 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
 
 
 @partial(jax.jit, static_argnames="outside")
-def _distances_to(
-    tables: PairTables, x: Array, index: Array, goals: PreparedGoals, outside: Outside
-) -> tuple[Lengths]:
+def _to_goals(tables: PairTables, x: Array, index: Array, goals: PreparedGoals, outside: Outside) -> tuple[Lengths]:
     """Return distances from points ``(..., 2)`` to the goals of given indices ``(..., 1)``, which broadcast."""
     if outside == "clamp":
         x, shift = _clamped(tables, x.astype(_floats_of(x)))
-        return (_distances_to(tables, x, index, goals, "inf")[0] + shift,)
+        return (_to_goals(tables, x, index, goals, "inf")[0] + shift,)
     # 1. Find the shortest paths in 32 bits, from rounded points.
     points, to_corners = (column.reshape(-1, column.shape[-1]) for column in (goals.points, goals.to_corners))
     index = jnp.broadcast_to(index[..., 0], jnp.broadcast_shapes(x.shape[:-1], index.shape[:-1]))

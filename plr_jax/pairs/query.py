@@ -193,9 +193,8 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, *p
     turn_x = _corner_of(tables, leaf_x, first)
     corner = tables.listed[leaf_x, first].astype(jnp.uint32)
     if to_corners is not None:  # the distance from the first turn to a prepared goal is known
-        hidden = _is_leg_hidden(tables, leaf_x, first, x, turn_x)
         length = _norm(x - turn_x) + gather(to_corners.ravel(), leaf_y * size + corner)
-        better = ~hidden & (length < search.length)
+        better = ~_is_leg_hidden(tables, leaf_x, first, x, turn_x) & (length < search.length)
         length, via_x = jnp.where(better, length, search.length), jnp.where(better, first, search.via_x)
         return replace(search, length=length, via_x=via_x, key=next_key)
     # 2. Find the last turn of the shortest path from there. Corners that are known to be hidden are left out: place p

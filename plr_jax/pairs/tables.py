@@ -91,10 +91,8 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     listed[ragged_indices(lengths)] = stored.listed
     # 2. Find walls near listed corners.
     lo, hi = cells.grown_boxes(domain)
-    margin = MARGIN * width
-    near = NearWalls.of(
-        (lo, hi), stored.leaf, stored.listed, obstacles.corners[:-1], obstacles.walls, margin, listed.shape
-    )
+    entries = stored.leaf, stored.listed
+    near = NearWalls.of((lo, hi), *entries, obstacles.corners[:-1], obstacles.walls, MARGIN * width, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing

@@ -59,11 +59,9 @@ def _tangents_of_paths(segments: Segments, total: Lengths, changes: Segments) ->
     # at their end. The goal is number `count`, whose path has no segments.
     (lengths, straight), (change_of_lengths, change_of_straight) = segments, changes
     count = len(straight)
-    corner = jnp.arange(count)
-    is_nearer = total[None] < total[:, None]
-    following = _longest_of_equal(jnp.where(is_nearer, lengths, jnp.inf), total[None], total)
+    following = _longest_of_equal(jnp.where(total[None] < total[:, None], lengths, jnp.inf), total[None], total)
     is_last = straight <= _rounded_up(total)
-    change = jnp.append(jnp.where(is_last, change_of_straight, change_of_lengths[corner, following]), 0)
+    change = jnp.append(jnp.where(is_last, change_of_straight, change_of_lengths[jnp.arange(count), following]), 0)
     onward = jnp.append(jnp.where(is_last, count, following), count)
     for _ in range(count.bit_length()):
         change, onward = change + change[onward], onward[onward]

@@ -9,8 +9,8 @@ from plr_jax import VisibilityGraph
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, Shadows, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas, clip_to_boxes
-from plr_jax.geometry.corners import corner_visibility
-from plr_jax.geometry.visibility import Viewpoints, joined_tables, visibility_of
+from plr_jax.geometry.corners import CornerVisibility
+from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 NONE = np.empty(0, int)
@@ -20,7 +20,7 @@ def shadows_around(workspace, *open_points):
     """Return the shadows of points in the open, followed by those of all corners."""
     views = Viewpoints(np.array(open_points, float).reshape(-1, 2), NONE, NONE)
     table, _ = visibility_of(workspace.triangulation, views)
-    return Shadows.of(joined_tables([table, corner_visibility(workspace).table]))
+    return Shadows.of(VisibilityTable.joined([table, CornerVisibility.of(workspace).table]))
 
 
 def free_pieces(triangles, rng, n):
@@ -83,7 +83,7 @@ def test_seen_pieces_equal_visibility_of_point_pairs(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_cells_without_walls_are_one_piece(seed):
     workspace, rng = random_workspace(seed), np.random.default_rng(seed)
-    visibility, triangulation = corner_visibility(workspace), workspace.triangulation
+    visibility, triangulation = CornerVisibility.of(workspace), workspace.triangulation
     lo, hi = np.sort(rng.uniform(-1, 11, (2, 30, 2)), axis=0)
     lists = turns_by_triangle(visibility, triangulation)
     found = CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)

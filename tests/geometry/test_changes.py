@@ -5,7 +5,7 @@ from piece_helpers import random_obstacle
 
 from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.changes import may_see_polygons
-from plr_jax.geometry.corners import corner_visibility
+from plr_jax.geometry.corners import CornerVisibility
 
 BOUNDS = ((0, 0), (8, 8))
 
@@ -70,7 +70,7 @@ def test_removed_obstacles_keep_their_numbers():
 def test_polygons_ruled_out_of_sight_are_hidden(seed):
     rng = np.random.default_rng(seed)
     workspace = Workspace(BOUNDS, [random_obstacle(rng, "polygon") for _ in range(6)], squeeze=bool(seed % 2))
-    table = corner_visibility(workspace).table
+    table = CornerVisibility.of(workspace).table
     view, lo = rng.integers(0, len(table.points), 4000), rng.uniform(0, 7.6, (4000, 2))
     size = rng.uniform(0.01, 0.4, (4000, 2))
     hulls = np.stack([lo + size * np.array(corner) for corner in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1)

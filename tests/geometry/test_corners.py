@@ -2,7 +2,7 @@ import numpy as np
 import shapely
 from piece_helpers import TEN
 
-from plr_jax.geometry.corners import corner_visibility, find_corners
+from plr_jax.geometry.corners import CornerVisibility, find_corners
 from plr_jax.geometry.workspace import Workspace
 
 BLOCK = Workspace(TEN, [[(4, 0), (6, 0), (6, 8), (4, 8)]])  # stands on the bottom, its corners (4, 8) and (6, 8)
@@ -22,7 +22,7 @@ def test_goal_comes_first_and_replaces_a_corner():
 
 def test_edges_join_visible_corners_where_paths_turn():
     # Two blocks side by side: diagonals cut off a part of the left one at one end, of the right one at the other.
-    seen = corner_visibility(Workspace(TEN, [shapely.box(1, 4, 3, 6), shapely.box(5, 4, 7, 6)]))
+    seen = CornerVisibility.of(Workspace(TEN, [shapely.box(1, 4, 3, 6), shapely.box(5, 4, 7, 6)]))
     pairs = {frozenset(map(tuple, pair)) for pair in seen.corners.points[seen.edges].tolist()}
     sides = [((x, 4), (x, 6)) for x in (1, 3, 5, 7)]
     along = [((a, y), (b, y)) for y in (4, 6) for a, b in ((1, 3), (3, 5), (5, 7))]

@@ -6,7 +6,7 @@ from oracle_helpers import GAP, free_points, roadmap
 from piece_helpers import general_workspace
 
 from plr_jax import VisibilityGraph, scenes
-from plr_jax.geometry.corners import corner_visibility
+from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.graph import first_visible_in_parts
 
 MAZE = scenes.maze().workspace
@@ -19,7 +19,7 @@ def ways():
 
 
 def corner_table():
-    table = corner_visibility(general_workspace(np.random.default_rng(3))).table
+    table = CornerVisibility.of(general_workspace(np.random.default_rng(3))).table
     return np.concatenate([table.key, table.edge, table.first])
 
 

@@ -6,7 +6,7 @@ from pair_helpers import MAZE
 from piece_helpers import TEN, WORKSPACES, box
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs
-from plr_jax.geometry.corners import corner_visibility
+from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.pairs.construct import corners_seen, grow_lists, lattice_step
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves import leaf_model
@@ -80,7 +80,7 @@ def test_lattice_is_fine_if_none_holds_the_points():
 
 def grown(workspace, most_leaves):
     """Corners, the leaves' lists of them, and their boxes."""
-    visibility = corner_visibility(workspace)
+    visibility = CornerVisibility.of(workspace)
     bounds = workspace.bounds
     root = corners_seen(visibility, workspace.triangulation, bounds)
     lists = grow_lists(root, workspace.bounds, LIMITS, most_leaves, lambda lists: 0)

@@ -8,7 +8,7 @@ from grid_helpers import legal, mosaic, pairs_of_tiles
 
 from plr_jax import GridGraph, construct_grid_pairs
 from plr_jax.pairs.grid_corners import taut_corners
-from plr_jax.pairs.grid_query import BLOCK, sees, sight_of
+from plr_jax.pairs.grid_query import BLOCK, sees, tables_of
 
 
 def all_open_paths(p, q, connectivity):
@@ -33,7 +33,7 @@ def all_open_paths(p, q, connectivity):
 def test_cells_see_each_other_if_all_open_paths_are_legal(connectivity):
     free = mosaic(connectivity, 3, 4)
     p, q = (points[:, ::-1].astype(int) for points in pairs_of_tiles(3, 4))
-    found = sees(sight_of(free, connectivity), p, q)
+    found = sees(tables_of(free, connectivity), p, q)
     assert 0.1 < found.mean() < 0.9
     for start, end, seen in zip(map(tuple, p.tolist()), map(tuple, q.tolist()), found, strict=True):
         steps = [step for path in all_open_paths(start, end, connectivity) for step in pairwise(path)]
