@@ -57,6 +57,7 @@ SIDE, PARTS, SMOKE_PARTS = 250, 12, 2
 SOURCE, SOURCES = (125, 60), [(60, 60), (190, 200)]
 REACHES = {32: 3, 80: 5, 144: 7}  # neighbors of a node: longest edge
 NUM_PATHS = 200
+ROADS = 4  # in each direction
 _SECOND_OF_ARC = np.pi / 180 / 3600 * RADIUS  # in meters
 
 Side = tuple[float, float]
@@ -78,14 +79,15 @@ def reliefs(smoke: bool) -> dict[str, tuple[Raster, Side]]:
     }
 
 
-def land(heights: Raster, side: Side, with_roads: bool) -> Raster:
-    """Return costs of a walker: classes of slope, wet lowlands and, if asked for, two roads of one cell."""
-    slope = np.hypot(*np.gradient(ndimage.gaussian_filter(heights, 1), *side[::-1]))
-    costs = np.array([1.0, 1.5, 2.5, 4.0])[np.digitize(slope, np.quantile(slope, [0.4, 0.7, 0.9]))]
+def land(heights: Raster, side: Side, num_roads: int = 0) -> Raster:
+    """Return costs of a walker: classes of slope, wet lowlands, and winding roads of one cell in both directions."""
+    slope = np.hypot(*np.gradient(heights, *side[::-1]))
+    costs = np.array([1.0, 2.0, 5.0, 10.0])[np.digitize(slope, np.quantile(slope, [0.4, 0.7, 0.9]))]
     costs[heights <= np.quantile(heights, 0.08)] = 6.0
-    if with_roads:
-        for turned in (costs, costs.T):
-            winding = (turned.shape[0] * (0.45 + 0.25 * np.sin(np.arange(turned.shape[1] + 1) / 30))).astype(int)
+    for turned in (costs, costs.T):
+        for road in range(num_roads):
+            swing = 0.2 * np.sin(np.arange(turned.shape[1] + 1) / (20 + 5 * road) + road)
+            winding = ((road + 0.5 + swing) / num_roads * turned.shape[0]).astype(int)
             for column, rows in enumerate(pairwise(winding)):
                 turned[min(rows) : max(rows) + 1, column] = 0.1
     return costs
@@ -107,7 +109,7 @@ def tobler(slope: np.ndarray) -> np.ndarray:
 def slopes(seed: int, smoke: bool) -> dict[str, Any]:
     rows = []
     for name, (heights, side) in reliefs(smoke).items():
-        for kind, costs in {"one": np.ones_like(heights), "classes": land(heights, side, False)}.items():
+        for kind, costs in {"one": np.ones_like(heights), "classes": land(heights, side)}.items():
             source = (20, 10) if smoke else SOURCE
             seconds, ours = timed(partial(cost_distance, costs, _at([source], side), cell_size=side, heights=heights))
             truths = {
@@ -277,7 +279,7 @@ def _over_sides(costs: Raster, sources: list[Cell], smoke: bool) -> tuple[Raster
 
 
 def classes(seed: int, smoke: bool) -> dict[str, Any]:
-    tables = {name: land(heights, side, True) for name, (heights, side) in reliefs(smoke).items()}
+    tables = {name: land(heights, side, ROADS) for name, (heights, side) in reliefs(smoke).items()}
     side = 40 if smoke else SIDE
     tables["random"] = np.random.default_rng(seed).choice([1.0, 2.0, 5.0, 15.0], (side, side))
     rows = []
