@@ -1,0 +1,306 @@
+"""Cost distance over rasters beside truths that share no code with it (``_raster_truths.py``), and other tools.
+
+``slopes``: land classes on a relief, by Tobler's function. The truth is a graph on a lattice of four nodes a cell,
+with edges of up to 7 nodes (144 neighbors). ``truth_32`` and ``truth_80`` are the distances of graphs with 32 and
+80 neighbors from it. ``path`` is the largest relative difference of a path's cost, integrated, from its distance.
+
+``degrees``: great circles on rasters of longitude and latitude; then land classes and barriers beside a march over
+Mercator's map, extrapolated from 4 and 8 nodes a cell. ``halved`` is the truth's distance from what half as many
+give.
+
+``rivals``: GRASS ``r.cost`` and ``r.walk`` (``apt-get install grass-core``), xarray-spatial and scikit-image
+``MCP_Geometric``. Tools that are not installed are skipped. CPU seconds of GRASS are those of its module alone,
+without import and export. ``r.walk`` adds the friction of cells to Langmuir's costs of slopes, where
+``cost_distance`` multiplies. So the friction is 0, and costs are 1. Truths: ``over_sides`` with 6 and 12 parts a
+side, extrapolated; for slopes the graph with 144 neighbors.
+
+``classes``: land classes by slope and height with roads of one cell, whose cost is 0.1; and random costs. Errors
+are relative to the distance, beyond 10 cells from the source. The truth is that of ``rivals``.
+
+Reliefs have 250 x 250 cells. One is matplotlib's sample ``jacksboro_fault_dem.npz``. The other, nearly flat, is
+``data/dem.tif`` of github.com/mdbartos/pysheds; the environment variable ``PLR_JAX_DEM`` names the folder of
+``dem.tif``, and without it the relief is skipped. Both have steps of 3 seconds of arc. For ``slopes`` and
+``rivals`` they lie in a plane, with cells as wide and high, in meters, as in the middle of the map; for ``classes``
+cells have sides of 1.
+"""
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import matplotlib.cbook
+import numpy as np
+from scipy import ndimage
+
+from experiments._measures import timed
+from experiments._raster_truths import (
+    RADIUS,
+    Cell,
+    Raster,
+    cost_of_path,
+    great_circle,
+    marched_on_sphere,
+    over_lattice,
+    over_sides,
+)
+from experiments._runner import Section, run
+from experiments.cost_distance import rasters, scikit_image, xarray_spatial
+from plr_jax import cost_distance
+
+SIDE, PARTS, SMOKE_PARTS = 250, 12, 2
+SOURCE, SOURCES = (125, 60), [(60, 60), (190, 200)]
+REACHES = {32: 3, 80: 5, 144: 7}  # neighbors of a node: longest edge
+NUM_PATHS = 200
+ROADS = 4  # in each direction
+_SECOND_OF_ARC = np.pi / 180 / 3600 * RADIUS  # in meters
+
+Side = tuple[float, float]
+
+
+def reliefs(smoke: bool) -> dict[str, tuple[Raster, Side]]:
+    """Return heights of reliefs, with the width and height of their cells, all in meters."""
+    found = {"jacksboro": (matplotlib.cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"], 36.59)}
+    if folder := os.environ.get("PLR_JAX_DEM"):
+        from skimage.io import imread  # pyright: ignore[reportMissingImports]
+
+        found["pysheds"] = imread(Path(folder) / "dem.tif"), 32.67
+    else:
+        print("pysheds: skipped, PLR_JAX_DEM names no folder with dem.tif")
+    side, step = (40 if smoke else SIDE), 3 * _SECOND_OF_ARC
+    return {
+        name: (heights[:side, :side].astype(float), (step * np.cos(np.radians(latitude)), step))
+        for name, (heights, latitude) in found.items()
+    }
+
+
+def land(heights: Raster, side: Side, num_roads: int = 0) -> Raster:
+    """Return costs of a walker: classes of slope, wet lowlands, and winding roads of one cell in both directions."""
+    slope = np.hypot(*np.gradient(heights, *side[::-1]))
+    costs = np.array([1.0, 2.0, 5.0, 10.0])[np.digitize(slope, np.quantile(slope, [0.4, 0.7, 0.9]))]
+    costs[heights <= np.quantile(heights, 0.08)] = 6.0
+    for turned in (costs, costs.T):
+        for road in range(num_roads):
+            swing = 0.2 * np.sin(np.arange(turned.shape[1] + 1) / (20 + 5 * road) + road)
+            winding = ((road + 0.5 + swing) / num_roads * turned.shape[0]).astype(int)
+            for column, rows in enumerate(pairwise(winding)):
+                turned[min(rows) : max(rows) + 1, column] = 0.1
+    return costs
+
+
+def _at(cells: list[Cell], side: Side = (1.0, 1.0)) -> list[tuple[float, float]]:
+    return [((column + 0.5) * side[0], (row + 0.5) * side[1]) for row, column in cells]
+
+
+def _errors(found: Raster, truth: Raster) -> dict[str, float]:
+    error = np.abs(found - truth) / truth[np.isfinite(truth)].mean()
+    return {"mean": float(np.nanmean(error)), "largest": float(np.nanmax(error))}
+
+
+def tobler(slope: np.ndarray) -> np.ndarray:
+    return 3.6 / (6 * np.exp(-3.5 * np.abs(slope + 0.05)))
+
+
+def slopes(seed: int, smoke: bool) -> dict[str, Any]:
+    rows = []
+    for name, (heights, side) in reliefs(smoke).items():
+        for kind, costs in {"one": np.ones_like(heights), "classes": land(heights, side)}.items():
+            source = (20, 10) if smoke else SOURCE
+            seconds, ours = timed(partial(cost_distance, costs, _at([source], side), cell_size=side, heights=heights))
+            truths = {
+                count: over_lattice(costs, heights, side, source, tobler, reach)
+                for count, reach in list(REACHES.items())[: 2 if smoke else None]
+            }
+            truth = truths[max(truths)]
+            off = {f"truth_{count}": _errors(each, truth)["mean"] for count, each in truths.items()}
+            cells = np.random.default_rng(seed).integers(0, costs.shape, (NUM_PATHS, 2))
+            ratios = [
+                cost_of_path(ours.path(*_at([(i, j)], side)), costs, heights, side, tobler) / ours.distance[i, j]
+                for i, j in cells.tolist()
+                if (i, j) != source
+            ]
+            row = {"relief": name, "costs": kind, "cpu_seconds": seconds, **_errors(ours.distance, truth), **off}
+            rows.append({**row, "path": float(np.abs(np.array(ratios) - 1).max()), "side": len(costs)})
+            print(rows[-1], flush=True)
+    return {"rows": rows}
+
+
+def _data_array(costs: Raster, west: float, south: float, step: float) -> Any:
+    import rioxarray  # noqa: F401  # pyright: ignore[reportMissingImports]
+    import xarray  # pyright: ignore[reportMissingImports]
+
+    at = {"y": south + (np.arange(len(costs)) + 0.5) * step, "x": west + (np.arange(costs.shape[1]) + 0.5) * step}
+    return xarray.DataArray(costs, dims=("y", "x"), coords=at).rio.write_crs("EPSG:4326")
+
+
+CITIES = [(2.35, 48.85), (-157.85, 21.3), (139.7, 35.7), (-58.4, -34.6), (178.4, -18.1)]
+EUROPE = (0.0, 35.0)  # the first corner, longitude and latitude, of the raster with costs and barriers
+
+
+def degrees(seed: int, smoke: bool) -> dict[str, Any]:
+    rows = []
+    # 1. Great circles that stay between the raster's first and last latitude.
+    south, north = -60.0, 75.0
+    for step in (2.5,) if smoke else (0.5, 0.1):
+        costs = _data_array(np.ones((round((north - south) / step), round(360 / step))), -180.0, south, step)
+        seconds, ours = timed(partial(cost_distance, costs, CITIES))
+        longitude, latitude = costs.x.values, costs.y.values[:, None]
+        lengths = np.stack([great_circle(longitude, latitude, city) for city in CITIES])
+        nearest, truth = lengths.argmin(axis=0), lengths.min(axis=0)
+        sine, angle = np.sin(np.radians([city[1] for city in CITIES]))[nearest], truth / RADIUS
+        within = truth > 0
+        for t in np.linspace(0, 1, 17):  # the sine of the latitude along a great circle
+            along = (np.sin((1 - t) * angle) * np.sin(np.radians(latitude)) + np.sin(t * angle) * sine) / np.sin(
+                angle
+            )
+            within &= (along > np.sin(np.radians(south))) & (along < np.sin(np.radians(north)))
+        error = np.abs(ours.distance.values - truth)[within] / truth[within]
+        is_far = truth[within] > 20 * np.radians(step) * RADIUS
+        row = {"raster": f"{step:g} degrees", "cpu_seconds": seconds, "mean": float(error.mean())}
+        rows.append({**row, "largest_far": float(error[is_far].max()), "compared": float(within.mean())})
+        print(rows[-1], flush=True)
+    # 2. Land classes, with barriers and without.
+    shape, step, sources = ((30, 60), 1.0, [(10, 10)]) if smoke else ((300, 600), 0.1, [(80, 120), (220, 430)])
+    rng = np.random.default_rng(seed)
+    noise = [ndimage.gaussian_filter(rng.normal(size=shape), shape[0] / 30) for _ in range(2)]
+    noise = [each / each.std() for each in noise]
+    classes = np.array([1.0, 2.0, 4.0, 8.0])[np.digitize(noise[0], [-0.5, 0.5, 1.2])]
+    barred = np.where(noise[1] > 1.5, np.nan, classes)
+    for row, column in sources:
+        barred[row - 2 : row + 3, column - 2 : column + 3] = 1.0
+    for name, costs in {"classes": classes, "classes and barriers": barred}.items():
+        raster = _data_array(costs, *EUROPE, step)
+        points = [(EUROPE[0] + x * step, EUROPE[1] + y * step) for x, y in _at(sources)]
+        seconds, ours = timed(partial(cost_distance, raster, points))
+        blocked = np.where(np.isfinite(costs), costs, np.inf)
+        coarse, half, fine = (
+            marched_on_sphere(blocked, EUROPE, step, sources, finer) for finer in ((1, 1, 2) if smoke else (2, 4, 8))
+        )
+        truth = np.where(np.isfinite(blocked), 2 * fine - half, np.nan)
+        halved = _errors(2 * half - coarse, truth)
+        off = {"halved": halved["mean"], "halved_largest": halved["largest"]}
+        reached = np.where(np.isfinite(ours.distance.values), ours.distance.values, np.nan)
+        bias = float(np.nanmean(reached - truth) / np.nanmean(truth))
+        rows.append({"raster": name, "cpu_seconds": seconds, **_errors(reached, truth), "bias": bias, **off})
+        print(rows[-1], flush=True)
+    return {"rows": rows}
+
+
+def grass(module: str, tables: dict[str, Raster], source: Cell, side: Side = (1.0, 1.0)) -> tuple[float, Raster]:
+    """Return the CPU seconds of a module of GRASS, with options, and the distances that it finds."""
+    if shutil.which("grass") is None:
+        raise ImportError("GRASS is not installed")
+    (rows, columns), ((x, y),) = next(iter(tables.values())).shape, _at([source], side)
+    region = f"n={rows * side[1]} s=0 e={columns * side[0]} w=0 rows={rows} cols={columns}"
+    edges = region.replace("n=", "north=").replace("s=0", "south=0").replace("e=", "east=").replace("w=0", "west=0")
+    with tempfile.TemporaryDirectory() as folder:
+        lines = ["set -e", "TIMEFORMAT='cpu %U %S'", f"g.region {region}"]
+        for name, values in tables.items():  # the first row of a file is the north
+            values[::-1].astype(np.float64).tofile(f"{folder}/{name}")
+            lines += [f"r.in.bin -d input={folder}/{name} output={name} bytes=8 {edges}"]
+        inputs = " ".join(f"{name}={name}" for name in tables)
+        lines += [f"time {module} {inputs} output=found start_coordinates={x},{y} --quiet"]
+        lines += [f"r.out.bin -f input=found output={folder}/found bytes=8"]
+        Path(folder, "script").write_text("\n".join(lines), encoding="ascii")
+        command = ["grass", "--tmp-location", "XY", "--exec", "bash", f"{folder}/script"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(done.stderr)
+        words = next(line for line in done.stderr.splitlines() if line.startswith("cpu ")).split()
+        found = np.fromfile(f"{folder}/found").reshape(rows, columns)[::-1]
+    return float(words[1]) + float(words[2]), found
+
+
+def langmuir(slope: np.ndarray) -> np.ndarray:
+    """Return the seconds per horizontal meter that ``r.walk`` takes by default."""
+    return 0.72 + slope * np.where(slope >= 0, 6.0, np.where(slope < -0.2125, -1.9998, 1.9998))
+
+
+TOOLS: dict[str, Callable[[Raster, Cell], tuple[float, Raster]]] = {
+    "plr_jax": lambda costs, source: timed(lambda: cost_distance(costs, _at([source])).distance),
+    "GRASS r.cost": lambda costs, source: grass("r.cost", {"input": costs}, source),
+    "GRASS r.cost -k": lambda costs, source: grass("r.cost -k", {"input": costs}, source),
+    "xarray-spatial": lambda costs, source: timed(lambda: xarray_spatial(costs, [source])),
+    "scikit-image MCP_Geometric": lambda costs, source: timed(lambda: scikit_image(costs, [source])),
+}
+
+
+def _walked(heights: Raster, side: Side, source: Cell) -> Raster:
+    options: Any = {"cell_size": side, "heights": heights, "slope_cost": langmuir, "from_sources": True}
+    return cost_distance(np.ones_like(heights), _at([source], side), **options).distance
+
+
+def rivals(seed: int, smoke: bool) -> dict[str, Any]:
+    rows = []
+
+    def compare(raster: str, tools: dict[str, Callable[[], tuple[float, Raster]]], truth: Raster, off: float) -> None:
+        for tool, call in tools.items():
+            try:
+                call()  # some compile
+                seconds, found = call()
+            except ImportError as error:
+                print(f"{tool}: skipped, {error}")
+                continue
+            row = {"raster": raster, "tool": tool, "cpu_seconds": seconds}
+            rows.append({**row, **_errors(found, truth), "halved": off})
+            print(rows[-1], flush=True)
+
+    for name, costs in rasters(seed).items():
+        if name != "river" and not (smoke and rows):
+            truth, off, _ = _over_sides(costs, [(200, 57)], smoke)
+            compare(name, {tool: partial(call, costs, (200, 57)) for tool, call in TOOLS.items()}, truth, off)
+    for name, (heights, side) in reliefs(smoke).items():
+        source = (20, 10) if smoke else SOURCE
+        costs, tables = np.ones_like(heights), {"elevation": heights, "friction": np.zeros_like(heights)}
+        less, truth = (
+            over_lattice(costs, heights, side, source, langmuir, reach, from_source=True)
+            for reach in ((3, 3) if smoke else (5, 7))
+        )
+        tools = {
+            "plr_jax": partial(timed, partial(_walked, heights, side, source)),
+            "GRASS r.walk": partial(grass, "r.walk", tables, source, side),
+            "GRASS r.walk -k": partial(grass, "r.walk -k", tables, source, side),
+        }
+        compare(f"slopes of {name}", tools, truth, _errors(less, truth)["mean"])
+    return {"rows": rows}
+
+
+def _over_sides(costs: Raster, sources: list[Cell], smoke: bool) -> tuple[Raster, float, Raster]:
+    # The truth, extrapolated; its mean distance from what half as many parts of sides give; and costs of paths.
+    parts = SMOKE_PARTS if smoke else PARTS
+    coarse, half, fine = (over_sides(costs, sources, count) for count in (parts // 4 or 1, parts // 2, parts))
+    truth = (4 * fine - half) / 3
+    return truth, _errors((4 * half - coarse) / 3, truth)["mean"], fine
+
+
+def classes(seed: int, smoke: bool) -> dict[str, Any]:
+    tables = {name: land(heights, side, ROADS) for name, (heights, side) in reliefs(smoke).items()}
+    side = 40 if smoke else SIDE
+    tables["random"] = np.random.default_rng(seed).choice([1.0, 2.0, 5.0, 15.0], (side, side))
+    rows = []
+    for name, costs in tables.items():
+        sources = [(10, 10)] if smoke else SOURCES
+        seconds, ours = timed(partial(cost_distance, costs, _at(sources)))
+        bounded = cost_distance(costs, _at(sources), bounds=True)
+        truth, off, of_paths = _over_sides(costs, sources, smoke)
+        place = np.indices(costs.shape)
+        is_far = np.min([np.hypot(place[0] - i, place[1] - j) for i, j in sources], axis=0) > 10
+        excess = ours.distance[is_far] / truth[is_far] - 1
+        row = {"costs": name, "cpu_seconds": seconds, "mean": float(excess.mean()), "largest": float(excess.max())}
+        row["least"] = float(excess.min())  # negative where the truth is too large
+        gap = float((bounded.upper - bounded.lower).mean() / ours.distance.mean())
+        broken = int((bounded.lower > of_paths * (1 + 1e-9)).sum())
+        rows.append({**row, "gap": gap, "broken": broken, "halved": off})
+        print(rows[-1], flush=True)
+    return {"rows": rows}
+
+
+SECTIONS = {each.__name__: Section(each) for each in (slopes, degrees, rivals, classes)}
+
+if __name__ == "__main__":
+    run("rasters", __doc__, SECTIONS)
