@@ -235,8 +235,7 @@ def read_cost_map(
 
     Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
     adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`. For a GeoTIFF of cost factors, use
-    ``RasterCost(path)``.
+    :meth:`RasterCost.from_occupancy_grid`. A GeoTIFF of cost factors is read by ``RasterCost(path)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, or all cells are

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plr_jax import RasterCost, cost_distance
-from plr_jax.eikonal import raster_search
+from plr_jax.rasters import _cost_distance
 from plr_jax.spaces._data_arrays import data_array_box, is_in_degrees, opened, raster_values
 
 xarray = pytest.importorskip("xarray")
@@ -21,7 +21,7 @@ LOWEST = float(np.finfo(np.float32).min)
 
 @pytest.fixture(autouse=True)
 def _few_cells(monkeypatch):
-    monkeypatch.setattr(raster_search, "_FINE_CELLS", 100)
+    monkeypatch.setattr(_cost_distance, "_FINE_CELLS", 100)
 
 
 def write(
