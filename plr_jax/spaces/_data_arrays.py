@@ -52,7 +52,7 @@ def opened(name: str, raster: Any) -> Any:
 
             file: Any = rioxarray.open_rasterio(raster, **options)
             if not is_data_array(file) or len(file) != 1:
-                advice = "choose one, as by rioxarray.open_rasterio(path, mask_and_scale=True).sel(band=1)"
+                advice = "choose one, as by rioxarray.open_rasterio(path, mask_and_scale=True)[0]"
                 raise ValueError(f"{name} must be a file of one band, got several: {advice}.")
             band = file.squeeze(file.dims[0]).load()
         except ImportError as error:
@@ -75,8 +75,9 @@ def raster_values(name: str, raster: Any, expected: str = "a raster of numbers")
     values = np.array(as_numbers(name, cells, expected))
     with np.errstate(over="ignore"):
         for number in _no_data_values(name, raster) if is_data_array(raster) else ():
-            # Python's number is rounded to the type of the cells, which may have been float32 before.
-            values[(cells == number) | (cells == np.float32(number))] = np.inf
+            # NumPy rounds Python's number to the type of the cells. Cells of 64 bits may have been float32 before.
+            rounded = np.float32(number) if cells.dtype.kind == "f" else number
+            values[(cells == number) | (cells == rounded)] = np.inf
     values[np.isnan(values)] = np.inf
     if (lowest := values.min(initial=0.0, where=values > -np.inf)) < _LEAST:
         advice = "mask such cells, or name the value by raster.rio.write_nodata"
@@ -152,14 +153,21 @@ def is_in_degrees(raster: Any) -> bool:
 
     The units of the coordinates decide; else the first reference system that is found; else the dimensions' names.
     """
-    if any(str(raster[axis].attrs.get("units", "")).lower().startswith("degree") for axis in raster.dims):
+    axes = [raster[axis].attrs for axis in raster.dims]
+    units = [str(attrs.get(key)).lower() for attrs in axes for key in ("units", "standard_name")]
+    if any(unit.startswith(("degree", "longitude", "latitude")) for unit in units):
         return True
     tables = [*(coordinate.attrs for coordinate in raster.coords.values()), raster.attrs]
-    for text in (str(table[key]) for table in tables for key in _REFERENCES if key in table):
+    texts = [str(table[key]) for table in tables for key in _REFERENCES if key in table]
+    with suppress(Exception):  # rioxarray may not be imported
+        texts.append(raster.rio.crs.to_wkt())
+    for text in texts:
         if kind := _KIND.search(text):
             return kind[1] is not None
         with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
             import pyproj
 
             return pyproj.CRS.from_user_input(text).is_geographic
-    return any(str(axis).lower() in _DEGREES for axis in raster.dims)
+    # GDAL keeps the attributes of a NetCDF file's coordinates under names such as "lat#units".
+    names = [*map(str, raster.dims), *(key.split("#")[0] for key in map(str, raster.attrs) if "#" in key)]
+    return any(name.lower() in _DEGREES for name in names)
