@@ -96,7 +96,7 @@ def _no_data_values(name: str, raster: Any) -> set[float]:
         # An encoding describes the file: its value is not comparable with cells that were scaled since.
         values |= {number for key in _NO_DATA if not is_scaled for number in _numbers(table.get(key))}
     with suppress(Exception):  # rioxarray may not be imported
-        values |= set(_numbers(raster.rio.nodata))
+        values = values or set(_numbers(raster.rio.nodata))
     return values
 
 
