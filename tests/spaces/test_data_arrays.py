@@ -1,6 +1,7 @@
 """Rasters as they come from files and from xarray, compared with what rasterio reads."""
 
 import builtins
+import struct
 import zipfile
 from itertools import product
 
@@ -33,11 +34,11 @@ def write(
         costs.reshape(-1)[::7] = np.array(holes).astype(dtype)
     size = {"height": shape[0], "width": shape[1], "count": 1, "dtype": dtype, "transform": transform}
     defaults = size | {"driver": "GTiff", "crs": "EPSG:32633"}
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=options.pop("internal", True)):
-        with rasterio.open(path, "w", **defaults | options) as file:
-            file.write(costs)
-            if edit:
-                edit(file)
+    is_internal = options.pop("internal", True)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=is_internal), rasterio.open(path, "w", **defaults | options) as file:
+        file.write(costs)
+        if edit:
+            edit(file)
     if overviews:
         with rasterio.open(path, "r+") as file:
             file.build_overviews([2])
@@ -76,11 +77,12 @@ def setting(**values):
 TYPES = "uint8", "int16", "uint16", "int32", "float32", "float64"
 COMPRESSIONS = "none", "lzw", "deflate", "packbits"
 TILED = {"tiled": True, "blockxsize": 16, "blockysize": 16}
-FILES = [
+STORED = [
     {"dtype": dtype, "compress": compress, "ENDIANNESS": order, "BIGTIFF": "YES" if k % 3 == 0 else "NO"}
     | (TILED if compress == "lzw" else {})
-    for (k, (dtype, compress)), order in product(enumerate(product(TYPES, COMPRESSIONS)), ("LITTLE", "BIG"))
+    for (k, (dtype, compress)), order in product(enumerate(product(TYPES, COMPRESSIONS)), ("BIG", "LITTLE"))
 ]
+FILES = STORED[::2]
 NO_DATA = {
     "uint8": (0, 50),
     "int8": (-128,),
@@ -92,7 +94,7 @@ NO_DATA = {
     "float64": (1e20, LOWEST, -np.finfo(float).max),
 }
 FILES += [{"dtype": dtype, "nodata": value, "holes": value} for dtype, values in NO_DATA.items() for value in values]
-FILES += [{"transform": Affine(dx, 0, 3e5, 0, dy, 5e6)} for dx, dy in product((10, -10, 30, 0.1), (-10, 10, 0.1))]
+FILES += [{"transform": Affine(dx, 0, 3e5, 0, dy, 5e6)} for dx, dy in product((10, -10, 30, 2), (-10, 10, 2))]
 FILES += [
     {"shape": shape, "transform": Affine(30, 0, 3e5, 0, dy, 5e6)}
     for shape, dy in product([(1, 9), (9, 1), (1, 1), (2, 1)], (-10, 10))
@@ -123,9 +125,21 @@ FILES += [
 ]
 
 
-@pytest.mark.parametrize("options", FILES, ids=lambda options: "-".join(map(str, options.values())))
+@pytest.mark.parametrize(
+    "options",
+    [*FILES, *(pytest.param(options, marks=pytest.mark.full) for options in STORED[1::2])],
+    ids=lambda options: "-".join(map(str, options.values())),
+)
 def test_files_are_read_as_by_rasterio(options, tmp_path):
     check(write(tmp_path / "costs", **options))
+
+
+def test_negative_scale_is_read_as_by_rasterio(tmp_path):
+    path = write(tmp_path / "costs.tif")
+    scale = struct.pack("<3d", 10, 10, 0)  # of ModelPixelScale
+    assert scale in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(scale, struct.pack("<3d", 10, -10, 0)))
+    check(path)
 
 
 def test_virtual_rasters_and_archives_are_read(tmp_path):
