@@ -146,7 +146,9 @@ def cost_distance(
             expected = f"a number, or have the shape {heights.shape} of heights"
             raise ValueError(f"costs must be {expected}, got shape {np.shape(costs)}.")
         costs = heights.copy(data=np.broadcast_to(np.ma.filled(costs, np.nan), heights.shape))
-        costs.attrs, costs.encoding = ({key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding))
+        costs.attrs, costs.encoding = (
+            {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
+        )
     cost, box, flips = _raster(costs, cell_size)
     box, in_degrees = _in_degrees(costs, box, cost.shape, degrees)
     relief = None
@@ -215,7 +217,9 @@ def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | No
     if not as_bool("degrees", degrees):
         return box, False
     if not is_data_array(costs):
-        raise ValueError("degrees=True needs a DataArray, whose coordinates are longitude and latitude, got an array.")
+        raise ValueError(
+            "degrees=True needs a DataArray, whose coordinates are longitude and latitude, got an array."
+        )
     tolerance = _TOLERANCE * box.width / shape[::-1]
     if box.width[0] > 360 + tolerance[0]:
         raise ValueError(f"Longitudes must span at most 360 degrees, got {box.width[0]:g}: leave out columns.")
@@ -234,7 +238,9 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
         is_aligned = raster.dims == costs.dims and raster.shape == costs.shape
         for axis in costs.dims if is_aligned else ():
             ours, given = (np.asarray(each[axis].values, float) for each in (costs, raster))
-            is_aligned &= bool((np.abs(ours - given) <= _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)).all())
+            is_aligned &= bool(
+                (np.abs(ours - given) <= _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)).all()
+            )
         if not is_aligned:
             expected = f"the dimensions {costs.dims} and coordinates of costs, got other ones"
             raise ValueError(f"{name} must have {expected}: use reindex_like(costs) or interp_like(costs).")

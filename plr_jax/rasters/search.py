@@ -21,7 +21,7 @@ from math import floor, gcd
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int32
+from jaxtyping import Float, Int, Int32
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -203,7 +203,7 @@ def search(
 
     nearest_of = np.append(first, -1)[np.maximum(source - num_nodes, -1)]
 
-    def raster_of(half: int, values: np.ndarray, elsewhere: float) -> Any:
+    def raster_of(half: int, values: np.ndarray, elsewhere: Any) -> Any:
         # Values of all corners or centers, from values of all nodes.
         table = np.full(cost.shape, elsewhere, values.dtype)
         table.ravel()[nodes[half]] = values[number[half][nodes[half]]]
