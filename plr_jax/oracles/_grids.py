@@ -130,9 +130,7 @@ class GridGraph(_CellGraph):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
             raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
         if as_bool("squeeze", squeeze) and connectivity == 4:
-            raise ValueError(
-                "squeeze=True needs connectivity=8: only diagonal steps pass beside blocked cells, got 4."
-            )
+            raise ValueError("squeeze=True needs connectivity=8, with diagonal steps, got connectivity=4.")
         if not (cells := as_mask(free)).size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
