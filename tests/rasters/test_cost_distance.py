@@ -112,10 +112,17 @@ def test_paths_go_around_barriers():
     assert (result.nearest == np.where(reached, 0, -1)).all()
 
 
+@pytest.mark.parametrize("num_parts", [1, 3_000])  # cells are not divided; cells are divided
 @pytest.mark.parametrize("heights", [None, np.zeros((2, 2))])
-def test_no_path_passes_between_touching_barriers(heights):
-    result = cost_distance([[1, np.nan], [np.nan, 1]], [(0.9, 0.9)], heights=heights)
-    assert np.isfinite(result.distance).tolist() == [[True, False], [False, False]]
+def test_no_path_passes_between_touching_barriers(heights, num_parts, monkeypatch):
+    monkeypatch.setattr(_cost_distance, "_FINE_CELLS", num_parts)
+    for source, reached in [((0.9, 0.9), (True, False)), ((0.5, 0.5), (True, False)), ((1.5, 1.5), (False, True))]:
+        result = cost_distance([[1, np.nan], [np.nan, 1]], [source], heights=heights)
+        assert np.isfinite(result.distance[[0, 1], [0, 1]]).tolist() == list(reached)
+        assert np.isinf(result.distance[[0, 1], [1, 0]]).all()
+    if heights is None:  # a source between the barriers is a source of both cells
+        result = cost_distance([[1, np.nan], [np.nan, 1]], [(1, 1)])
+        np.testing.assert_allclose(result.distance[[0, 1], [0, 1]], np.sqrt(0.5))
 
 
 def test_masks_number_sources_by_rows():
@@ -354,7 +361,7 @@ def test_own_slope_costs_count_uphill_and_downhill():
 
 
 def degrees_raster(values, west, south, step):
-    """Return a DataArray of longitudes and latitudes with the first row in the north; ``values`` start in the south."""
+    """Return a DataArray of longitudes and latitudes, from north to south; ``values`` start in the south."""
     xarray = pytest.importorskip("xarray")
     rows, columns = np.shape(values)
     lat, lon = (start + step * (np.arange(count) + 0.5) for start, count in ((south, rows), (west, columns)))
@@ -442,7 +449,7 @@ def test_squeezing_paths_pass_between_barriers():
         (TWO, {"degrees": True}, "degrees=True needs a DataArray"),
         ((np.ones((2, 2)), 0, 84, 1), {}, r"between latitudes -85 and 85 degrees, got 84 to 86: crop it"),
         ((np.ones((2, 361)), 0, 0, 1), {}, r"at most 360 degrees, got 361"),
-        ((np.ones((2, 2)), 0, 0, 1), {"bounds": True}, "no proven bounds: project the raster"),
+        ((np.ones((2, 2)), 0, 0, 1), {"bounds": True}, "no proven bounds, since"),
     ],
 )
 def test_invalid_degrees_raise(raster, options, message):
