@@ -269,9 +269,9 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
     ``graph`` is a :class:`GridGraph`, with or without a goal, or an array of booleans ``(rows, columns)``, True in
     free cells, for a 4-connected grid. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory, or 15 s
     and 1.4 GB if it is 8-connected. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises
-    ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected)
-    paths of over a million steps, or if its obstacles have too many corners for a table of 2**30 bytes or for a
-    construction within minutes.
+    ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, lets paths squeeze, has more than 2**22 cells or
+    (if 8-connected) paths of over a million steps, or if its obstacles have too many corners for a table of 2**30
+    bytes or for a construction within minutes.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 
@@ -281,6 +281,10 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
         except ValueError as error:
             message = f"graph must be a grid, such as GridGraph(free), or its free cells, got {shortened(graph)}."
             raise ValueError(message) from error
+    if graph.squeeze:
+        raise ValueError(
+            "graph must not have squeeze=True: its paths turn at other corners than those of the tables."
+        )
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     tables = tables_of(graph.free, graph.connectivity)

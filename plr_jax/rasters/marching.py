@@ -71,7 +71,7 @@ def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides
             rows, columns = (n - abs(step) for n, step in zip(values.shape, (i, j), strict=True))  # noqa: B023
             return values[row + cell[0] :, column + cell[1] :][:rows, :columns]  # noqa: B023
 
-        cost_at: AtOffset = lambda cell: beside(cell, cost)  # noqa: B023, E731
+        cost_at: AtOffset = lambda cell: beside(cell, cost)  # noqa: E731
         cost_of_step = float(np.hypot(*(side[::-1] * (i, j)))) * mean_along(2 * i, 2 * j, 1, cost_at)
         for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
             through = beside(b, distance) + cost_of_step

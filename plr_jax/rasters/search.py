@@ -21,7 +21,7 @@ from math import floor, gcd
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int32
+from jaxtyping import Float, Int, Int32
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -154,7 +154,7 @@ def search(
         steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
         # Edges from sources lead to nodes in and beside their cells, at offsets `near` from the centers of cells.
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
-        costs_to_near = _straight_costs(cost, side, points, home, near)
+        costs_to_near = _straight_costs(cost, side, points, home, near, squeeze)
     else:
         # Sources move to the centers of their cells, at no cost.
         steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
@@ -203,7 +203,7 @@ def search(
 
     nearest_of = np.append(first, -1)[np.maximum(source - num_nodes, -1)]
 
-    def raster_of(half: int, values: np.ndarray, elsewhere: float) -> Any:
+    def raster_of(half: int, values: np.ndarray, elsewhere: Any) -> Any:
         # Values of all corners or centers, from values of all nodes.
         table = np.full(cost.shape, elsewhere, values.dtype)
         table.ravel()[nodes[half]] = values[number[half][nodes[half]]]
@@ -218,13 +218,18 @@ def search(
 
 
 def _straight_costs(
-    cost: Raster, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
+    cost: Raster,
+    side: Sides,
+    points: Points,
+    home: Int[np.ndarray, "k 2"],
+    near: Int[np.ndarray, "nodes 2"],
+    squeeze: bool,
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
     Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
     cell. ``home`` has the row and column of this cell. ``cost`` has a rim of ``_REACH`` cells. A motion through a
-    barrier costs ``inf``.
+    barrier costs ``inf``, as does a motion between two barriers that touch in a corner, unless it may ``squeeze``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
@@ -250,7 +255,11 @@ def _straight_costs(
             for cell in cells
         )
         mean = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
-    return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+        # 3. Where a motion passes a corner, one of the other two cells there must be no barrier. A source in a corner
+        #    is a source of all cells there.
+        beside = (cost[tuple(np.moveaxis(home[:, None] + beyond * axis + _REACH, 2, 0))] for axis in ((1, 0), (0, 1)))
+        is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside)) & (not squeeze)
+    return np.where(np.isnan(mean) | is_contact, np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
 
 
 def mean_along(
