@@ -25,6 +25,8 @@ _REFERENCES = "crs_wkt", "spatial_ref", "crs", "grid_mapping_name"
 _KIND = re.compile(
     r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=(?!OB_TRAN)", re.IGNORECASE
 )
+# Units and radii (in meters, or feet) of geographic reference systems whose coordinates are not degrees on the Earth.
+_ELSEWHERE = re.compile(r'"grad"|(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*(?!(?:6[34]|20[89])\d{5}\b)', re.IGNORECASE)
 _X_NAMES = {"x", "lon", "longitude", "easting"}
 _Y_NAMES = {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
@@ -152,6 +154,7 @@ def is_in_degrees(raster: Any) -> bool:
     """Return whether the coordinates of a ``DataArray`` are degrees of longitude and latitude.
 
     The units of the coordinates decide; else the first reference system that is found; else the dimensions' names.
+    Reference systems of other planets, or in other units, raise ``ValueError``.
     """
     axes = [raster[axis].attrs for axis in raster.dims]
     units = [str(attrs.get(key)).lower() for attrs in axes for key in ("units", "standard_name")]
@@ -162,12 +165,14 @@ def is_in_degrees(raster: Any) -> bool:
     with suppress(Exception):  # rioxarray may not be imported
         texts.append(raster.rio.crs.to_wkt())
     for text in texts:
-        if kind := _KIND.search(text):
-            return kind[1] is not None
         with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
             import pyproj
 
-            return pyproj.CRS.from_user_input(text).is_geographic
+            text = pyproj.CRS.from_user_input(text).to_wkt()
+        if kind := _KIND.search(text):
+            if kind[1] and _ELSEWHERE.search(text):
+                raise ValueError(f"Coordinates must be degrees on the Earth, got {text[:60]}...: project the raster.")
+            return kind[1] is not None
     # GDAL keeps the attributes of a NetCDF file's coordinates under names such as "lat#units".
     names = [*map(str, raster.dims), *(key.split("#")[0] for key in map(str, raster.attrs) if "#" in key)]
     return any(name.lower() in _DEGREES for name in names)
