@@ -132,8 +132,8 @@ def _require_plain(picture: Any) -> None:
     In PNG files with 2 or 4 bits per pixel, one gray level may stand for transparent pixels. Pillow scales the pixels
     to 8 bits, but not this level: this function scales ``picture.info["transparency"]`` in place.
     """
-    # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black. Pillow misreads channels of
-    #    16 bits that are stored one after the other.
+    # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black. Pillow misreads channels
+    #    of 16 bits that are stored one after the other.
     tags = picture.tag_v2.named() if picture.format == "TIFF" else {}
     bits = tags.get("BitsPerSample", ())
     is_plain = picture.mode != "F" and 2 not in tags.get("SampleFormat", ())  # 2: signed

@@ -26,7 +26,9 @@ _KIND = re.compile(
     r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=(?!OB_TRAN)", re.IGNORECASE
 )
 # Units and radii (in meters, or feet) of geographic reference systems whose coordinates are not degrees on the Earth.
-_ELSEWHERE = re.compile(r'"grad"|(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*(?!(?:6[34]|20[89])\d{5}\b)', re.IGNORECASE)
+_ELSEWHERE = re.compile(
+    r'"grad"|(?:(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*|\+[AR]=)(?!(?:6[34]|20[89])\d{5}\b)', re.IGNORECASE
+)
 _X_NAMES = {"x", "lon", "longitude", "easting"}
 _Y_NAMES = {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
@@ -165,11 +167,13 @@ def is_in_degrees(raster: Any) -> bool:
     with suppress(Exception):  # rioxarray may not be imported
         texts.append(raster.rio.crs.to_wkt())
     for text in texts:
-        with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
-            import pyproj
+        if not (kind := _KIND.search(text)):
+            with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
+                import pyproj
 
-            text = pyproj.CRS.from_user_input(text).to_wkt()
-        if kind := _KIND.search(text):
+                text = pyproj.CRS.from_user_input(text).to_wkt()
+                kind = _KIND.search(text)
+        if kind:
             if kind[1] and _ELSEWHERE.search(text):
                 raise ValueError(f"Coordinates must be degrees on the Earth, got {text[:60]}...: project the raster.")
             return kind[1] is not None

@@ -360,7 +360,7 @@ def test_degrees_are_told_by_units_reference_systems_and_names():
     assert is_in_degrees(plane.rio.write_crs(4326)) and not is_in_degrees(named.rio.write_crs(32633))
     assert is_in_degrees(plane.rio.set_crs(4326))
     for crs in ("EPSG:4807", "IAU_2015:30100", "+proj=longlat +R=3396190"):  # in grads; of the Moon and of Mars
-        with pytest.raises(ValueError, match="Coordinates must be degrees on the Earth, got GEOGCRS"):
+        with pytest.raises(ValueError, match="Coordinates must be degrees on the Earth, got"):
             is_in_degrees(plane.assign_attrs(crs=crs))
 
 
