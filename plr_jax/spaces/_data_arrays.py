@@ -48,13 +48,12 @@ def opened(name: str, raster: Any) -> Any:
     """
     if not isinstance(raster, str | os.PathLike):
         return raster
-    # Values stay numbers if their unit is minutes (decode_times), and are read once (cache).
-    options: Any = {"mask_and_scale": True, "decode_times": False, "cache": False}
     with errors_named(raster):
         try:
             import rioxarray
 
-            file: Any = rioxarray.open_rasterio(raster, **options)
+            # Values stay numbers if their unit is minutes (decode_times), and are read once (cache).
+            file: Any = rioxarray.open_rasterio(raster, mask_and_scale=True, decode_times=False, cache=False)
             if not is_data_array(file) or len(file) != 1:
                 advice = "choose one, as by rioxarray.open_rasterio(path, mask_and_scale=True)[0]"
                 raise ValueError(f"{name} must be a file of one band, got several: {advice}.")
@@ -138,7 +137,6 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     sides = np.array([abs(along[-1] - along[0]) / max(len(along) - 1, 1) for along in coordinates])
     cell = np.abs([dx, dy]) if 0 < abs(dx * dy) < np.inf else np.ones(2)
     sides = np.where(np.array(raster.shape[::-1]) > 1, sides, cell * ((sides / cell).max() or 1.0))
-    lo, hi, slices = [], [], []
     for axis, along, side in zip(axes, coordinates, sides, strict=True):
         if not np.isfinite(along).all():
             raise ValueError(f"coordinates {axis!r} must be finite, got {along[~np.isfinite(along)][0]}.")
@@ -146,10 +144,9 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
             steps = np.diff(along)
             spaced = f"got steps from {steps.min():g} to {steps.max():g}"
             raise ValueError(f"coordinates {axis!r} must be evenly spaced, {spaced}.")
-        lo.append(along.min() - side / 2)
-        hi.append(lo[-1] + side * len(along))
-        slices.append(slice(None, None, -1 if along[0] > along[-1] else None))
-    return Box(lo, hi), (slices[1], slices[0])  # slices of rows (y) come first
+    lo = np.array([along.min() for along in coordinates]) - sides / 2
+    columns, rows = (slice(None, None, -1 if along[0] > along[-1] else None) for along in coordinates)
+    return Box(lo, lo + sides * raster.shape[::-1]), (rows, columns)
 
 
 def is_in_degrees(raster: Any) -> bool:
@@ -158,8 +155,7 @@ def is_in_degrees(raster: Any) -> bool:
     The units of the coordinates decide; else the first reference system that is found; else the dimensions' names.
     Reference systems of other planets, or in other units, raise ``ValueError``.
     """
-    axes = [raster[axis].attrs for axis in raster.dims]
-    units = [str(attrs.get(key)).lower() for attrs in axes for key in ("units", "standard_name")]
+    units = [str(raster[axis].attrs.get(key)).lower() for axis in raster.dims for key in ("units", "standard_name")]
     if any(unit.startswith(("degree", "longitude", "latitude")) for unit in units):
         return True
     tables = [*(coordinate.attrs for coordinate in raster.coords.values()), raster.attrs]
