@@ -196,7 +196,7 @@ def search(
     ends[size:] = np.maximum(to_near, 0).ravel()
     costs[size:] = np.where(to_near < 0, np.inf, costs_to_near).ravel()
     # 5. Find shortest paths outward from all sources at once.
-    begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
+    begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1)).astype(np.int32)
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
     sources = num_nodes + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
