@@ -29,6 +29,7 @@ OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
 Booleans: TypeAlias = Bool[np.ndarray, " m"]
+Meetings: TypeAlias = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]  # two indices of each
 
 
 class Circles(NamedTuple):
@@ -59,28 +60,24 @@ class TeamTrajectory:
         x, y, radius = circles(q[:-1, None], q[1:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
-    def robots_near(
-        self, i: int, around: Circles, first_row: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
-    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    def robots_near(self, i: int, around: Circles, first_row: Rows, excluded: Sequence[int] = ()) -> Meetings:
         """Find the robots that robot ``i`` may meet while its reference point is in given circles.
 
         While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
         of robot ``i`` is somewhere in circle ``k`` of ``around``. Robots ``excluded`` are left out.
 
         Returns:
-            The indices ``k`` and ``j`` of all pairs that may meet, both ``(m,)``, ordered by ``k``, then ``j``.
+            The indices ``k`` and ``j`` of all pairs that may meet, ordered by ``k``, then ``j``.
         """
         # Circles overlap if dx^2 + dy^2 < reach^2: compare blocks of circles with all robots.
         num_robots = len(self._size)
-        size = max(1, _CHUNK // num_robots)
         near = []  # k * num_robots + j
-        for first in range(0, max(1, len(first_row)), size):
-            block = slice(first, first + size)
+        for block in slices(max(1, len(first_row)), max(1, _CHUNK // num_robots)):
             x, y, radius = (column[block, None] for column in around)
             row = first_row[block]
             dx, dy, reach = self._x[row] - x, self._y[row] - y, self._radius[row] + (radius + self._size[i])
             reach[:, [i, *excluded]] = 0.0
-            near.append(first * num_robots + np.flatnonzero(dx * dx + dy * dy < reach * reach))
+            near.append(block.start * num_robots + np.flatnonzero(dx * dx + dy * dy < reach * reach))
         return np.divmod(np.concatenate(near), num_robots)
 
 

@@ -13,7 +13,7 @@ from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
 from plr_jax._problem import JointPath, Problem, row_times, straight_costs
-from plr_jax.collision.motions import Booleans, JointMotionTest, TeamTrajectory, circles
+from plr_jax.collision.motions import Booleans, JointMotionTest, Meetings, Rows, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots import between
 
@@ -23,8 +23,6 @@ _BATCH = 16  # states expanded at once
 _ROOM = 4  # distance from walls, in radii, at which a resting robot leaves room for another to pass
 _AHEAD = 32  # most waypoints that a straight motion skips
 _ROUNDING = 1e-9
-Rows = Int[np.ndarray, "m"]
-Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
 
