@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import batches, require_time, slices
+from plr_jax._arrays import IndexPairs, batches, require_time, slices
 from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -29,7 +29,6 @@ OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
 Booleans: TypeAlias = Bool[np.ndarray, " m"]
-Meetings: TypeAlias = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]  # two indices of each
 
 
 class Circles(NamedTuple):
@@ -60,7 +59,7 @@ class TeamTrajectory:
         x, y, radius = circles(q[:-1, None], q[1:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
-    def robots_near(self, i: int, around: Circles, first_row: Rows, excluded: Sequence[int] = ()) -> Meetings:
+    def robots_near(self, i: int, around: Circles, first_row: Rows, excluded: Sequence[int] = ()) -> IndexPairs:
         """Find the robots that robot ``i`` may meet while its reference point is in given circles.
 
         While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
@@ -125,12 +124,10 @@ def motions_apart(
     motions = a0, a1, b0, b1
     batch = np.broadcast(*(q[..., 0] for q in motions))
     if batch.size > _MOST and batch.shape[0] > 1:
-        size = max(1, _MOST * batch.shape[0] // batch.size)
-        apart = np.empty(batch.shape, dtype=bool)
-        for rows in slices(batch.shape[0], size):
-            a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
-            apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
-        return apart
+        blocks = slices(batch.shape[0], max(1, _MOST * batch.shape[0] // batch.size))
+        parts = ([q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions] for rows in blocks)
+        tests = (motions_apart(robot_a, *q[:2], robot_b, *q[2:], tolerance, deadline) for q in parts)
+        return np.concatenate([*tests])
     # 2. Compare the least distance of the reference points with the circumscribed and the inscribed radii.
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
     dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
