@@ -10,8 +10,7 @@ shifted to where the two adjacent segments cost least.
 import heapq
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -104,8 +103,7 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
     return np.concatenate(changes)
 
 
-@dataclass(frozen=True, eq=False)
-class PathCosts:
+class PathCosts(NamedTuple):
     """The costs of straight motions in a configuration space, with or without a cost map."""
 
     space: ConfigurationSpace

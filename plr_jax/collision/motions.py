@@ -5,7 +5,6 @@ are tested exactly. The tolerance of the exact tests is larger than the rounding
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple, TypeAlias
@@ -155,13 +154,11 @@ def motions_apart(
     return apart
 
 
-@dataclass(frozen=True, eq=False)
 class JointMotionTest:
     """A test, with a deadline, whether a whole team moves straight without hitting obstacles or one another."""
 
-    workspace: Workspace
-    robots: Sequence[Robot]
-    deadline: float = np.inf
+    def __init__(self, workspace: Workspace, robots: Sequence[Robot], deadline: float = np.inf):
+        self.workspace, self.robots, self.deadline = workspace, robots, deadline
 
     @cached_property
     def wall_tests(self) -> tuple[MotionTest, ...]:

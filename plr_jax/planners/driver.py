@@ -15,7 +15,7 @@ from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import SearchBudget, Solution, Stats, Status, make_solution, straight_line_bound
-from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations, robot_kinds
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations, robot_kinds
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.searches import SEARCHES, BLOptions, Searches, num_bytes, require_problem_and_options
 from plr_jax.planners.sequential import sequential_path, with_early_departures
@@ -280,7 +280,7 @@ class Run:
         """
         straight = motion_costs(self.problem, self.problem.starts, self.problem.goals)
         try:
-            joint = build_lattices(self.problem, step, self.test)
+            joint = JointLattice(self.problem, step, self.test)
             if not np.isfinite(joint.least_costs).all():
                 return None
             # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
@@ -288,7 +288,7 @@ class Run:
                 half = joint.step / 2
                 if _num_motions_to_test(self.problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
                     break
-                finer = build_lattices(self.problem, half, self.test)
+                finer = JointLattice(self.problem, half, self.test)
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
                     break  # also if a goal is cut off in the finer lattice, whose cost is then inf
                 joint = finer

@@ -9,7 +9,6 @@ step. References: Okumura et al., Artificial Intelligence 310, 2022 (PIBT); Okum
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -232,8 +231,7 @@ class PIBT:
         return True
 
 
-@dataclass(eq=False)
-class Node:
+class Node(NamedTuple):
     """A joint state that the search has reached, with the steps of the team that are still to try from this state."""
 
     state: JointNode

@@ -16,7 +16,7 @@ r"""Lattices: the configurations that robots visit in a search, and the motions 
    cell, motions into the cell lead to the goal, and an additional primitive connects the two.
 3. :class:`Kind` is the resulting graph of nodes and motions, in the two forms that searches need: as a table by node
    and primitive, and as lists of edges. It also finds costs-to-go and costs-to-come.
-4. :class:`Lattice` is the graph as one robot sees it, and :class:`JointLattice` holds the lattices of a team.
+4. :class:`Lattice` is the graph as one robot sees it, and :class:`JointLattice` builds the lattices of a team.
 """
 
 import math
@@ -430,18 +430,23 @@ class Lattice:
         return self._motions[1]
 
 
-@dataclass(frozen=True, eq=False)
 class JointLattice:
     """The lattices of all robots, grouped by kind (robots of equal shape and rotation weight), and a motion test.
 
-    A *joint state* has a node for each robot, and a joint motion a primitive for each robot.
+    A *joint state* has a node for each robot, and a joint motion a primitive for each robot. Cells are at most
+    ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot by more than
+    ``step``, and is at most an eighth of a full turn. Robots of one kind share arrays.
     """
 
-    problem: Problem
-    step: float
-    kinds: list[Kind]
-    lattices: list[Lattice]
-    test: JointMotionTest
+    def __init__(self, problem: Problem, step: float, test: JointMotionTest):
+        self.problem, self.step, self.test = problem, step, test
+        self.kinds: list[Kind] = []
+        for (robot, weight), members in robot_kinds(problem).items():
+            starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
+            grid = cell_grid(problem.workspace, robot, weight, step, test.deadline)
+            self.kinds.append(grid.with_terminals(robot, np.array(members), starts, goals))
+        lattices = {i: Lattice(kind, row) for kind in self.kinds for row, i in enumerate(kind.members.tolist())}
+        self.lattices = [lattices[i] for i in range(len(problem.robots))]
 
     @cached_property
     def costs_to_go(self) -> list[Table]:
@@ -500,18 +505,3 @@ def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)
     return kinds
-
-
-def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share arrays.
-
-    Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
-    by more than ``step``, and is at most an eighth of a full turn.
-    """
-    kinds = []
-    for (robot, weight), members in robot_kinds(problem).items():
-        starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
-        grid = cell_grid(problem.workspace, robot, weight, step, test.deadline)
-        kinds.append(grid.with_terminals(robot, np.array(members), starts, goals))
-    lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
-    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(problem.robots))], test)
