@@ -245,9 +245,8 @@ class _LifelongTeam:
         # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
         self.problem, self.options, self.plan = problem, options, plan
         self.path = problem.starts[None]  # from now on
-        self.requested_goals = problem.starts.copy()  # keeps the heading of robots without one
-        for i, robot in enumerate(problem.robots):
-            self.requested_goals[i, : robot.dof] = problem.goals[i, : robot.dof]
+        has_axis = np.arange(problem.dof) < np.array([[robot.dof] for robot in problem.robots])
+        self.requested_goals = np.where(has_axis, problem.goals, problem.starts)  # robots without a heading keep it
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, " dof"]]] = []  # robot, row and goal
