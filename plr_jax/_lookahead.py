@@ -25,15 +25,14 @@ from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds,
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays may have different lengths
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
+Vertices: TypeAlias = Float[np.ndarray, "n longest dim"]
 Counts: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 # Paths of `n` starts: vertices, numbers of vertices, lengths, costs, and whether each start is free (see `Descent`).
-Chains: TypeAlias = tuple[Float[np.ndarray, "n longest dim"], Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
+Chains: TypeAlias = tuple[Vertices, Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
 
 
-def chains_of(
-    starts: Nodes, nodes: Nodes, onward: Next, first: Int[np.ndarray, " starts"], num_goals: int = 1
-) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, " starts"]]:
+def chains_of(starts: Nodes, nodes: Nodes, onward: Next, first: Next, num_goals: int = 1) -> tuple[Vertices, Counts]:
     """Return the vertices of one path per start, and the number of vertices of each path.
 
     Path ``i`` leads from ``starts[i]`` to the node ``first[i]``, then from each node to the node ``onward[node]``,

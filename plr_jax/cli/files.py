@@ -140,16 +140,15 @@ def plot(
     # 2. Read the map, and draw.
     workspace, goals = read_map_of_file(file, content, map, is_needed=kind == "error")
     goals = parse_goals(goal) if goal else goals
-    match kind:
-        case "distance":
-            ax = plr_jax.plot.plot_contours(plr, workspace=workspace, goal=goals)
-        case "cells":
-            ax = plr_jax.plot.plot_cells(plr, workspace=workspace)
-        case "error":
-            if workspace is None or goals is None:
-                raise ValueError(f"{file} does not name its map and goal: use plr_jax.plot.plot_error.")
-            error = plr_jax.metrics.error_grid(plr, oracle_of(workspace, goals), workspace)
-            ax = plr_jax.plot.plot_error(error, workspace)
+    if kind == "distance":
+        ax = plr_jax.plot.plot_contours(plr, workspace=workspace, goal=goals)
+    elif kind == "cells":
+        ax = plr_jax.plot.plot_cells(plr, workspace=workspace)
+    elif workspace is None or goals is None:
+        raise ValueError(f"{file} does not name its map and goal: use plr_jax.plot.plot_error.")
+    else:
+        error = plr_jax.metrics.error_grid(plr, oracle_of(workspace, goals), workspace)
+        ax = plr_jax.plot.plot_error(error, workspace)
     plr_jax.plot.save(ax, output)
     typer.echo(f"wrote {output}")
 

@@ -37,7 +37,7 @@ def parse_goals(texts: Sequence[str], form: str = "X,Y") -> Float[np.ndarray, "g
 
 def oracle_of(workspace: "plr_jax.Workspace", goals: Float[np.ndarray, "goals 2"]) -> Any:
     """Return the exact distance function to the goal, or to the nearest of several goals."""
-    first = plr_jax.VisibilityGraph(workspace, goals[0])
+    first: Any = plr_jax.VisibilityGraph(workspace, goals[0])
     return first if len(goals) == 1 else plr_jax.NearestGoal([first, *map(first.with_goal, goals[1:])])
 
 

@@ -125,7 +125,7 @@ def motions_apart(
     if batch.size > _MOST and batch.shape[0] > 1:
         blocks = slices(batch.shape[0], max(1, _MOST * batch.shape[0] // batch.size))
         parts = ([q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions] for rows in blocks)
-        tests = (motions_apart(robot_a, *q[:2], robot_b, *q[2:], tolerance, deadline) for q in parts)
+        tests = (motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline) for a0, a1, b0, b1 in parts)
         return np.concatenate([*tests])
     # 2. Compare the least distance of the reference points with the circumscribed and the inscribed radii.
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
