@@ -178,9 +178,7 @@ def neighbor_of_largest_contact(tree: Tree, borrowers: Leaves, donors: Leaves, p
     return donor_of[borrowers]
 
 
-def touching_leaves(
-    tree: Tree, some: Leaves, others: Leaves, periodic: tuple[bool, ...]
-) -> Int[np.ndarray, "2 pairs"]:
+def touching_leaves(tree: Tree, some: Leaves, others: Leaves, periodic: tuple[bool, ...]) -> Pairs:
     """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner.
 
     Leaves are given and returned by their indices.

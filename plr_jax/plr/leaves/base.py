@@ -100,12 +100,10 @@ class LeafModel(ABC):
         """
 
     @abstractmethod
-    def cone_minus_leaf_bounds(
-        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
-    ) -> Bounds:
+    def cone_minus_leaf_bounds(self, leaf: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances) -> Bounds:
         """Return lower and upper bounds of a cone minus a leaf's function, over a convex polygon in the leaf.
 
-        Bounds ``i`` are for the leaf ``leaves[i]``, the polygon ``pieces[:, i]`` and the cone ``offset[i] + |x -
+        Bounds ``i`` are for the function ``leaf[i]``, the polygon ``pieces[:, i]`` and the cone ``offset[i] + |x -
         apex[i]|``.
         """
 
@@ -216,17 +214,15 @@ class PolynomialLeafModel(LinearLeafModel):
             total = total * place[0] + term
         return total
 
-    def cone_minus_leaf_bounds(
-        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
-    ) -> Bounds:
+    def cone_minus_leaf_bounds(self, leaf: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances) -> Bounds:
         # Taylor's expansion about the center c of a piece's bounding box: there, the leaf's function at x is
         #   value + slope . (x - c) = intercept + slope . x,    up to an error of at most `remainder`.
         # `center` and `half_width` are in local coordinates, from 0 to 1 across the leaf.
         piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
-        width = leaves.hi - leaves.lo
-        center = ((piece_lo + piece_hi) / 2 - leaves.lo) / width
+        width = leaf.hi - leaf.lo
+        center = ((piece_lo + piece_hi) / 2 - leaf.lo) / width
         half_width = (piece_hi - piece_lo) / 2 / width
-        powers = (leaves.coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
+        powers = (leaf.coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
         value, slope, remainder = enclosing_planes(powers, center, half_width)
         slope = slope / width
         intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2

@@ -273,9 +273,7 @@ def change_sources(source: LeafSources, options: LeafOptions, total: float, most
     return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
-def best_cones_of_goal(
-    visible: CellSources, sampler: Sampler, limits: Limits
-) -> tuple[Tree, StoredCones, CellSources]:
+def best_cones(visible: CellSources, sampler: Sampler, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
     ``visible`` has the whole domain as its only cell. Samples of ``sampler.pattern`` in a leaf show from where walls
