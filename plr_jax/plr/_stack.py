@@ -103,38 +103,30 @@ def _pages(
     # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
     page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
     for level, (begin, end) in enumerate(pairwise(levels)):
-        entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
         # 1. Leaves that the level resolves fill whole entries. Such leaves are not deeper than its `end` grid, but
         #    deeper than its `begin` grid, except in the first level.
         is_resolved = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (level == 0))
         resolved = cells[is_resolved]
         halvings = end - resolved.depth
         leaf, place = enumerate_boxes(resolved.position << halvings, np.int64(1) << halvings)
-        entries[_page_entries(place, page, begin, end)] = 2 * row[is_resolved][leaf]
         # 2. Entries that overlap deeper leaves lead to pages of the next level, one after another.
-        _, place = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
-        page_below, first = np.unique(row_major(place, end), return_index=True)
-        if len(page_below):
-            page_bits = (levels[level + 2] - end).sum()
-            starts = next_start + (np.arange(len(page_below)) << page_bits)
-            entries[_page_entries(place[first], page, begin, end)] = 2 * starts + 1
-            next_start = int(starts[-1]) + (1 << page_bits)
-        yield entries.ravel().astype(np.uint32)
+        _, place_of_deeper = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
+        page_below, first = np.unique(row_major(place_of_deeper, end), return_index=True)
+        page_bits = (levels[level + 2] - end).sum() if len(page_below) else 0
+        starts = next_start + (np.arange(len(page_below)) << page_bits)
+        next_start += len(page_below) << page_bits
+        # 3. Write the entries. The highest bits of a place, a cell of the `end` grid, identify its page; the `step`
+        #    bits below them are its index in the page.
+        step = end - begin
+        place = np.concatenate([place, place_of_deeper[first]])
+        page_of_place = np.searchsorted(page, row_major(place >> step, begin))
+        entries = np.zeros((len(page), 1 << step.sum()), np.uint32)
+        values = np.concatenate([2 * row[is_resolved][leaf], 2 * starts + 1])
+        entries[page_of_place, row_major(place & ((1 << step) - 1), step)] = values
+        yield entries.ravel()
         page = page_below
         if not len(page):
             return
-
-
-def _page_entries(
-    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: PerAxis, end: PerAxis
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
-
-    Pages belong to cells of the coarser ``begin`` grid; ``page`` has the row-major indices of these cells. A page has
-    an entry for each cell of the ``end`` grid inside the page's cell.
-    """
-    step = end - begin
-    return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
 
 @pytree

@@ -123,8 +123,7 @@ _RIDGE = 1e-9
 OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
 OfTerms: TypeAlias = Float[np.ndarray, "cells terms"]
 Planes: TypeAlias = tuple[Float[np.ndarray, " cells"], Float[np.ndarray, "cells dim"]]
-FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
-"""Function that fits planes, called like :func:`least_squares`."""
+FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]  # called like :func:`least_squares`
 
 
 def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Planes:
@@ -200,9 +199,6 @@ class CellFit(Rows):
     residual: OfSamples
     urgent_axis: Int[np.ndarray, " cells"]
     is_cut_off: Bool[np.ndarray, " cells"]
-
-    def __len__(self) -> int:
-        return len(self.cells)
 
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
@@ -379,20 +375,14 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     return as_distances("distance_fn", answer, x)
 
 
-@dataclass(frozen=True, eq=False)
-class ParallelOracle:
-    """A distance function that the workers of an executor evaluate in parallel, in tasks of up to 1,024 points."""
-
-    distance_fn: DistanceFn
-    executor: Executor
-
-    def __call__(self, x: Points) -> Distances:
-        parts = enumerate(batches(x, _POINTS_OF_TASK))
-        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in parts}
-        answers: dict[int, Distances] = {}
-        run_tasks(self.executor, tasks, answers)
-        # If workers died, this process computes the missing answers.
-        return np.concatenate([np.empty(0), *(answers[i] if i in answers else task() for i, task in tasks.items())])
+def parallel_distances(distance_fn: DistanceFn, executor: Executor, x: Points) -> Distances:
+    """Evaluate a distance function on the workers of an executor, in tasks of up to 1,024 points."""
+    parts = enumerate(batches(x, _POINTS_OF_TASK))
+    tasks = {number: partial(call_oracle, distance_fn, part) for number, part in parts}
+    answers: dict[int, Distances] = {}
+    run_tasks(executor, tasks, answers)
+    # If workers died, this process computes the missing answers.
+    return np.concatenate([np.empty(0), *(answers[i] if i in answers else task() for i, task in tasks.items())])
 
 
 def run_tasks(

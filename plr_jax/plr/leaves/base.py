@@ -31,6 +31,15 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
+class GivenLimits(NamedTuple):
+    """The limits that :func:`construct` was given; None for each limit that was not given."""
+
+    max_depth: int | None = None
+    max_leaves: int | None = None
+    max_bytes: int | None = None
+    tolerance: int | float | None = None
+
+
 MAX_TIED_DIM = 6  # largest dimension of continuous leaves, which have 64 corners there
 UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
@@ -247,30 +256,21 @@ def read_step(body: BitReader) -> list[float]:
     return [offset, step]
 
 
-def check_limits(
-    model: LeafModel,
-    dim: int,
-    proof: Proof,
-    frame_bytes: int,
-    max_depth: int | None = None,
-    max_leaves: int | None = None,
-    max_bytes: int | None = None,
-    tolerance: int | float | None = None,
-) -> Limits:
+def check_limits(model: LeafModel, dim: int, proof: Proof, frame_bytes: int, given: GivenLimits) -> Limits:
     """Check the limits that :func:`construct` was given, and return them with defaults in place of None.
 
     ``proof`` is the kind of error bounds in the file. The file without leaves and bounds takes ``frame_bytes`` bytes.
     """
     # 1. Check the values.
-    counts = {"max_depth": max_depth, "max_leaves": max_leaves, "max_bytes": max_bytes}
-    for name, value in counts.items():
+    max_depth, max_leaves, max_bytes, tolerance = given
+    for name, value, least in ("max_depth", max_depth, 0), ("max_leaves", max_leaves, 1), ("max_bytes", max_bytes, 1):
         if value is not None:
-            require_integer(name, value, 0 if name == "max_depth" else 1)
+            require_integer(name, value, least)
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
     if tolerance is not None:
         as_finite("tolerance", tolerance)
-    if tolerance is None and all(value is None for value in counts.values()):
+    if given == GivenLimits():
         max_leaves = DEFAULT_MAX_LEAVES
     # 2. The lookup tables depend on the file's size: take the smaller of the sizes that the bytes and leaves allow.
     max_bytes = None if max_bytes is None else int(max_bytes)
