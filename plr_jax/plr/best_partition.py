@@ -78,20 +78,6 @@ class TreeCosts(NamedTuple):
     best: Float[np.ndarray, " boxes"]  # of each box's best tree of computed boxes, possibly the box alone
     least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
 
-    @staticmethod
-    def of(level: BoxLevel, below: "TreeCosts", price: float, weight: float, limits: Limits) -> "TreeCosts":
-        # `below` has the costs of the next level. For a box b, over all axes along which its halves l, u are known:
-        #   best(b)  = min(cost(b) + price, best(l) + best(u))
-        #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
-        best = level.costs(weight) + price
-        halved = cost_if_halved(weight * level.boxes.peak, price)
-        least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
-        for lower, upper in level.child:
-            known = np.flatnonzero(lower >= 0)
-            for total, of_halves in ((best, below.best), (least, below.least)):
-                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
-        return TreeCosts(best, least)
-
 
 def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
     """Return, for each box, the least cost that is expected of a tree that halves the box.
@@ -120,12 +106,21 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     # A tree of b that costs at least most(b) improves no tree that contains it. The root has no such limit. Along an
     # axis, the two halves of b share what b may cost:
     #   most(half) = max over all boxes b with this half of min(best(b), most(b)) - least(other half of b).
-    # 1. Upward: costs of the boxes of every level.
+    # 1. Upward: costs of the boxes of every level. For a box b, over all axes along which its halves l, u are known:
+    #   best(b)  = min(cost(b) + price, best(l) + best(u))
+    #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
     costs: dict[int, TreeCosts] = {}
-    none = TreeCosts(np.zeros(0), np.zeros(0))  # below the last level
 
     def update_costs(depth: int) -> None:
-        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1, none), price, weight, limits)
+        level, below = levels[depth], costs.get(depth + 1, TreeCosts(np.zeros(0), np.zeros(0)))
+        best = level.costs(weight) + price
+        halved = cost_if_halved(weight * level.boxes.peak, price)
+        least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
+        for lower, upper in level.child:
+            known = np.flatnonzero(lower >= 0)
+            for total, of_halves in ((best, below.best), (least, below.least)):
+                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
+        costs[depth] = TreeCosts(best, least)
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)
@@ -300,19 +295,18 @@ class PriceSearch:
         """
         # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
         # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
-        largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
             sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
             if self._fill(middle := self._tree(price, weight)) <= 1:
-                fits = largest = middle
+                fits = middle
             else:
                 beyond = middle
-            if self._fill(largest) > _FULL:
+            if self._fill(fits) > _FULL:
                 break
-        return replace(largest, is_final=True)
+        return replace(fits, is_final=True)
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
         """Return the tree of known boxes with the least sum of leaves' costs and prices."""

@@ -67,10 +67,6 @@ class NodalSpace:
     values: "csr_array"  # from values of free groups to values of all nodes; 0 at nodes of unreachable leaves
     prediction: "csr_array"  # of free groups from coarser ones: the mean of the ends of the edge that a split halved
 
-    @property
-    def dim(self) -> int:
-        return self.tree.cells.dim
-
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " leaves"]) -> NodalSpace:
     """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
@@ -265,7 +261,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     # of the leaf (0 to 1 along each axis), its function with the Hermite basis B is
     #   f(t) = sum over corners c and kinds k of B[c, k](t) * 2**-(h . k) * D[group of c, k].
     # In vectors and matrices, D[g, k] has the row or column `index[g, k]`.
-    kinds, group = corner_bits(space.dim), space.group
+    kinds, group = corner_bits(space.tree.cells.dim), space.group
     index = np.arange((int(group.max()) + 1) * len(kinds)).reshape(-1, len(kinds))
     depth = np.repeat(space.tree.leaves.depth, len(kinds), axis=0)  # h, of each node's leaf
     has_value = np.diff(space.values.indptr) > 0  # of each node

@@ -44,10 +44,6 @@ class Pattern:
         return len(self.u)
 
     @cached_property
-    def reaches_beyond(self) -> bool:
-        return bool((np.abs(self.u) > 1).any())
-
-    @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
         """Matrix ``[1 u]`` that maps a plane (center value, half of its rise along each axis) to sample values."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
@@ -235,10 +231,10 @@ class Sampler:
         """Sample the distance in cells, and fit a plane to the samples of each cell that reach the goal."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
-        if pattern.reaches_beyond:
+        if reaches_beyond := (np.abs(pattern.u) > 1).any():
             points = self.domain.wrapped(points)
         x = points.reshape(-1, cells.dim)
-        if self.cache is None or pattern.reaches_beyond:  # the cache is for points inside of the cells
+        if self.cache is None or reaches_beyond:  # the cache is for points inside of the cells
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
             distance = distances_in_cells(self.cache.sources(cells), points)
@@ -247,8 +243,7 @@ class Sampler:
         if self.weight_fn is not None:
             weight *= call_weights(self.weight_fn, x).reshape(weight.shape)
         value = np.where(reachable, distance, 0.0)
-        weight_of_fit = weight if self.weight_fn is None else weights_of_fit(reachable, weight)
-        center, half = self.compute_coefficients(pattern, value, weight_of_fit)
+        center, half = self.compute_coefficients(pattern, value, weights_of_fit(reachable, weight))
         _check_planes(center, half, cells)
         residual = value - (center[:, None] + row_products(half, pattern.u.T))
         residual *= reachable

@@ -189,7 +189,7 @@ class _CompactWriter:
             origin = np.zeros(self.dim) if program.corner is None or contents.folding is not None else program.corner
             corner = origin + table_corners(box.moved(-origin))[0]
             exact = np.stack([box.lo, box.hi, corner, program.domain.lo, program.domain.hi], axis=1)
-            self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)
+            self.body.write_doubles(exact.ravel())
         # 3. Mirrors, or straight lines; then zeros up to a whole byte.
         self.at_folding = self._at
         if program.folding_arrays is not None:
