@@ -15,7 +15,7 @@ Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix e
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import field, replace
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from math import prod
 from typing import Any
@@ -84,8 +84,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
         others += later_levels
         total += sum(map(len, later_levels))
     if total >= _MOST_INDICES:
-        message = f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
-        raise ValueError(message)
+        raise ValueError(f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(rows):,} PLRs.")
     # 3. Entries of rows, first pages and other pages.
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(total))
@@ -179,12 +178,11 @@ class _SameShapeGroup:
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
         """Return tables that evaluate another PLR at each point; ``which`` has the index of this PLR in the group."""
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
-        picked = [
-            array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
-            for array, shape in zip(arrays, self.shapes, strict=True)
-        ]
+        for i, (array, shape) in enumerate(zip(arrays, self.shapes, strict=True)):
+            if shape is not None:
+                arrays[i] = PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
         trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
-        return replace(structure.unflatten(picked), trie=trie, leaf_parameters=self.leaf_parameters)
+        return replace(structure.unflatten(arrays), trie=trie, leaf_parameters=self.leaf_parameters)
 
 
 @pytree
@@ -283,20 +281,11 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
-
-    @cache
-    def zeros(dtype: type, *shape: int) -> Array:
-        with jax.ensure_compile_time_eval():  # also inside a traced function
-            return jax.device_put(np.zeros(shape, dtype))
-
-    no_lookup: dict[str, Any] = {"blocks": None, "pages": None, "leaf_of_slot": zeros(np.uint16, 0)}
-    frames: list[Tables] = []
-    for i, each in enumerate(tables):
-        no_leaves = zeros(np.float32, each.leaf.num_leaf_parameters(each.dim), 0)
-        bits = zeros(np.uint32, *each.bits.shape)
-        frames.append(replace(each, bits=bits, leaf_parameters=no_leaves, **no_lookup))
-        of_straight = tuple(array.shape for array in each.straight or ())
-        kinds.setdefault((jax.tree_util.tree_structure(frames[i]), of_straight), []).append(i)
+    no_leaves = dict.fromkeys(("bits", "blocks", "pages", "leaf_of_slot", "leaf_parameters"))
+    frames: list[Tables] = [replace(each, **no_leaves) for each in tables]
+    for i, frame in enumerate(frames):
+        of_straight = tuple(array.shape for array in frame.straight or ())
+        kinds.setdefault((jax.tree_util.tree_structure(frame), of_straight), []).append(i)
     # 3. Merge the tables of each group.
     group, place = np.zeros((2, len(plrs)), np.uint32)
     groups = []

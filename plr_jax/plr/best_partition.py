@@ -198,9 +198,6 @@ class PricedTree:
         return len(self.box)
 
 
-SizeFn: TypeAlias = Callable[[list[BoxLevel], PricedTree], int]
-
-
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
     """Return the weight of a leaf's largest error in the leaf's cost; the integral of the error has the weight 1.
 
@@ -217,7 +214,7 @@ class PriceSearch:
     ``num_sources``, the number of possible apexes of cones, only affects the first price.
     """
 
-    def __init__(self, root: Any, limits: Limits, size: SizeFn, num_sources: int = 0) -> None:
+    def __init__(self, root: Any, limits: Limits, size: Callable[..., int], num_sources: int = 0) -> None:
         self._limits, self._size, self._num_sources = limits, size, num_sources
         self.levels = [BoxLevel(root)]
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)

@@ -162,10 +162,9 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
         #    rounds and test them again, since attained errors have changed.
         is_open = open_pieces(not rounds.any())
         if rounds.any() and not is_open.any():
-            several, leaves, *bounds = zip(*aside, (visible, leaf, below, above), strict=True)
+            several, *columns = zip(*aside, (visible, leaf, below, above), strict=True)
             visible = several[0].append(*several[1:])
-            leaf = np.concatenate(leaves)
-            below, above = map(np.concatenate, bounds)
+            leaf, below, above = map(np.concatenate, columns)
             aside = []
             is_open = open_pieces(True)
         if not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:

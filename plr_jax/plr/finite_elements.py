@@ -104,8 +104,14 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     host_leaf, host_t = (of_others[::-1][hangs][first_point] for of_others in (leaf, t))
     step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
     of_groups = leaf_faces.resolve_constraints(step, hanging)
-    # 4. Level of a group, from its first node.
-    level = _node_levels(tree.leaves)[np.sort(first_node)]
+    # 4. Level of a group, from its first node: exponents of two in the denominators of its point, summed over the
+    #    axes. A corner's coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the
+    #    fraction is reduced.
+    numerator = tree.leaves.position[:, None] + corner_bits(dim)  # (leaves, corners, dim)
+    depth = tree.leaves.depth[:, None]
+    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
+    levels = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=2)  # of nodes
+    level = levels.ravel()[np.sort(first_node)]
     # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there:
     #   (below - above) @ of_groups @ f == 0,     with f the values of free groups.
     # Each row is solved for the group of the highest level in it, which is then no longer free. The matrix of these
@@ -143,16 +149,6 @@ def _face_corners(cells: Cells, faces: SharedFaces, axis: int) -> tuple[Pairs, F
     t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]  # in fractions of the leaf
     t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
     return leaf, t
-
-
-def _node_levels(cells: Cells) -> Int[np.ndarray, " nodes"]:
-    """Return the level of each node: exponents of two in the denominators of its point, summed over the axes."""
-    # A corner's coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the fraction is
-    # reduced.
-    numerator = cells.position[:, None] + corner_bits(cells.dim)  # (leaves, corners, dim)
-    depth = cells.depth[:, None]
-    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
-    return np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=2).ravel()
 
 
 def _edge_means(tree: Tree, unreachable: Bool[np.ndarray, " leaves"], dof: Indices, num_dofs: int) -> "csr_array":
