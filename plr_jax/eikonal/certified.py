@@ -25,7 +25,7 @@ from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaf_faces import overlapping_leaves
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
-from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
+from plr_jax.plr.leaves.base import UNIT, GivenLimits, Rules, check_limits, largest_coordinates
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits, enumerate_boxes
 from plr_jax.spaces import CellState, MotionCost, VoxelSpace
@@ -73,7 +73,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
     num_other_bytes = frame_size(estimate.mesh.domain) + (0 if straight is None else straight.num_bytes)
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
-    limits = check_limits(model, domain.dim, proof, num_other_bytes, max_bytes=max_bytes)
+    limits = check_limits(model, domain.dim, proof, num_other_bytes, GivenLimits(max_bytes=max_bytes))
 
     # 2. Fit leaves to the estimate on the grid. Where there is none, use the estimate on the mesh.
     def distances(x: Points) -> Numbers:

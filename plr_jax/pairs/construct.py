@@ -30,7 +30,7 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import check_limits
+from plr_jax.plr.leaves.base import GivenLimits, check_limits
 from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
@@ -254,7 +254,7 @@ def construct_stored(
         raise ValueError(f"construct_pairs needs a Workspace or a Building, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
     domain = workspace.bounds
-    limits = check_limits(leaf_model("cone"), 2, Proof.NONE, frame_size(domain), max_bytes=max_bytes)
+    limits = check_limits(leaf_model("cone"), 2, Proof.NONE, frame_size(domain), GivenLimits(max_bytes=max_bytes))
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
     # Indices:

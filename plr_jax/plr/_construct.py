@@ -22,7 +22,7 @@ from plr_jax.plr.folding import folding_of
 from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import Cone, leaf_model
-from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
+from plr_jax.plr.leaves.base import GivenLimits, LeafModel, Rules, check_limits
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.sampling import FitRule, Sampler, WeightFn, least_squares
 from plr_jax.plr.source_cache import SourceCache
@@ -179,7 +179,7 @@ def construct(
     require_function("distance_fn", distance_fn)
     if not isinstance(options, BuildOptions):
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
-    limits = max_depth, max_leaves, max_bytes, tolerance
+    limits = GivenLimits(max_depth, max_leaves, max_bytes, tolerance)
     reach = sampling.reach_of(distance_fn, domain)
 
     build = partial(_build_leaves, distance_fn, domain, limits, reach, proof, seed, options)
@@ -205,7 +205,7 @@ def construct(
 def _build_leaves(
     distance_fn: DistanceFn,
     domain: Box,
-    limits: tuple[int | None, int | None, int | None, int | float | None],
+    limits: GivenLimits,
     reach: Reach | None,
     proof: Proof,
     seed: int,
@@ -215,9 +215,8 @@ def _build_leaves(
 ) -> DecodedFile:
     """Build a PLR with the leaf model ``leaf``, and return the content of its file.
 
-    ``limits`` are ``max_depth``, ``max_leaves``, ``max_bytes`` and ``tolerance``. ``reach`` tells from where the goal
-    can be reached, if known. ``proof`` is the kind of error bounds to prove. ``root``, if known, has the corners (or
-    the goal) to which shortest paths from points of the domain may go first.
+    ``reach`` tells from where the goal can be reached, if known. ``proof`` is the kind of error bounds to prove.
+    ``root``, if known, has the corners (or the goal) to which shortest paths from points of the domain may go first.
     """
     # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
     model = leaf_model(leaf)
@@ -231,9 +230,9 @@ def _build_leaves(
     folding = folding_of(distance_fn, domain) if may_fold else None
     reach = None if folding is not None else reach
     has_border = reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
-    if limits == (None,) * 4 and domain.dim > 2 and has_border:
-        limits = None, _LEAVES_OF_VOLUMES, None, None
-    checked = check_limits(model, domain.dim, proof, frame_size(domain, folding), *limits)
+    if limits == GivenLimits() and domain.dim > 2 and has_border:
+        limits = GivenLimits(max_leaves=_LEAVES_OF_VOLUMES)
+    checked = check_limits(model, domain.dim, proof, frame_size(domain, folding), limits)
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
@@ -243,7 +242,7 @@ def _build_leaves(
         cache = SourceCache(domain, cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
     if options.executor is not None:
-        distance_fn = sampling.ParallelOracle(distance_fn, options.executor)
+        distance_fn = partial(sampling.parallel_distances, distance_fn, options.executor)
     if folding is not None:
         domain, weight_fn = folding.box, partial(sampling.folded_weights, weight_fn, folding)
         distance_fn = partial(sampling.folded_distances, distance_fn, folding)

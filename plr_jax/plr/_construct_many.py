@@ -20,11 +20,11 @@ from plr_jax.plr._plr import PLR
 from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_model
-from plr_jax.plr.leaves.base import LeafModel, check_limits
+from plr_jax.plr.leaves.base import GivenLimits, LeafModel, check_limits
 from plr_jax.plr.sampling import reach_of, run_tasks
 
+# For each task of a worker: the indices of oracles, and a function that returns the bytes of their files.
 Tasks: TypeAlias = dict[tuple[int, ...], Callable[[], list[bytes]]]
-"""For each task of a worker: the indices of oracles, and a function that returns the bytes of their files."""
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that an interrupt keeps what is finished
 
 
@@ -89,12 +89,13 @@ def construct_many(
     require_integer("seed", seed, 0)
     executor = options.executor
     options = replace(options, executor=None)
-    limits = check_limits(model, domain.dim, proof, frame_size(domain), max_depth, max_leaves, max_bytes, tolerance)
+    given = GivenLimits(max_depth, max_leaves, max_bytes, tolerance)
+    limits = check_limits(model, domain.dim, proof, frame_size(domain), given)
     # 2. Group the oracles: families whose cones are built together, and single oracles.
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, Cone) and is_plane and limits.tolerance == 0 and options == DEFAULT_OPTIONS
-    most = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
-    alone = partial(construct, domain=domain, leaf=leaf, **most, certified=certified, seed=seed, options=options)
+    settings = {"leaf": leaf, "certified": certified, "seed": seed, "options": options}
+    alone = partial(construct, domain=domain, **given._asdict(), **settings)
     families: dict[int, list[int]] = {}  # indices of oracles; keys of single oracles are negative
     for number, oracle in enumerate(oracles):
         is_member = as_family and isinstance(oracle, FamilyFn) and reach_of(oracle, domain) is None

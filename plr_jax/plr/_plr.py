@@ -58,9 +58,8 @@ class PLR(FileBacked):
     @cached_property
     def tables(self) -> Tables:
         """Lookup tables, decoded from ``file``, with which a query finds and evaluates the leaf of a point."""
-        contents = self._contents
         with jax.ensure_compile_time_eval():  # the PLR may be closed over by a traced function
-            return tables_of_contents(contents, np.zeros(contents.domain.dim), self.table_class)
+            return tables_of_contents(self._contents, np.zeros(self._contents.domain.dim), self.table_class)
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:

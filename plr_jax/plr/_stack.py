@@ -15,7 +15,7 @@ Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix e
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import field, replace
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from math import prod
 from typing import Any
@@ -84,8 +84,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
         others += later_levels
         total += sum(map(len, later_levels))
     if total >= _MOST_INDICES:
-        message = f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
-        raise ValueError(message)
+        raise ValueError(f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(rows):,} PLRs.")
     # 3. Entries of rows, first pages and other pages.
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(total))
@@ -103,38 +102,30 @@ def _pages(
     # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
     page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
     for level, (begin, end) in enumerate(pairwise(levels)):
-        entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
         # 1. Leaves that the level resolves fill whole entries. Such leaves are not deeper than its `end` grid, but
         #    deeper than its `begin` grid, except in the first level.
         is_resolved = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (level == 0))
         resolved = cells[is_resolved]
         halvings = end - resolved.depth
         leaf, place = enumerate_boxes(resolved.position << halvings, np.int64(1) << halvings)
-        entries[_page_entries(place, page, begin, end)] = 2 * row[is_resolved][leaf]
         # 2. Entries that overlap deeper leaves lead to pages of the next level, one after another.
-        _, place = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
-        page_below, first = np.unique(row_major(place, end), return_index=True)
-        if len(page_below):
-            page_bits = (levels[level + 2] - end).sum()
-            starts = next_start + (np.arange(len(page_below)) << page_bits)
-            entries[_page_entries(place[first], page, begin, end)] = 2 * starts + 1
-            next_start = int(starts[-1]) + (1 << page_bits)
-        yield entries.ravel().astype(np.uint32)
+        _, place_of_deeper = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
+        page_below, first = np.unique(row_major(place_of_deeper, end), return_index=True)
+        page_bits = (levels[level + 2] - end).sum() if len(page_below) else 0
+        starts = next_start + (np.arange(len(page_below)) << page_bits)
+        next_start += len(page_below) << page_bits
+        # 3. Write the entries. The highest bits of a place, a cell of the `end` grid, identify its page; the `step`
+        #    bits below them are its index in the page.
+        step = end - begin
+        place = np.concatenate([place, place_of_deeper[first]])
+        page_of_place = np.searchsorted(page, row_major(place >> step, begin))
+        entries = np.zeros((len(page), 1 << step.sum()), np.uint32)
+        values = np.concatenate([2 * row[is_resolved][leaf], 2 * starts + 1])
+        entries[page_of_place, row_major(place & ((1 << step) - 1), step)] = values
+        yield entries.ravel()
         page = page_below
         if not len(page):
             return
-
-
-def _page_entries(
-    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: PerAxis, end: PerAxis
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Return, for each cell ``place[i]`` of a level's ``end`` grid, the index of its page and its index in this page.
-
-    Pages belong to cells of the coarser ``begin`` grid; ``page`` has the row-major indices of these cells. A page has
-    an entry for each cell of the ``end`` grid inside the page's cell.
-    """
-    step = end - begin
-    return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
 
 @pytree
@@ -187,12 +178,11 @@ class _SameShapeGroup:
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
         """Return tables that evaluate another PLR at each point; ``which`` has the index of this PLR in the group."""
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
-        picked = [
-            array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
-            for array, shape in zip(arrays, self.shapes, strict=True)
-        ]
+        for i, (array, shape) in enumerate(zip(arrays, self.shapes, strict=True)):
+            if shape is not None:
+                arrays[i] = PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
         trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
-        return replace(structure.unflatten(picked), trie=trie, leaf_parameters=self.leaf_parameters)
+        return replace(structure.unflatten(arrays), trie=trie, leaf_parameters=self.leaf_parameters)
 
 
 @pytree
@@ -291,20 +281,11 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
     # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
-
-    @cache
-    def zeros(dtype: type, *shape: int) -> Array:
-        with jax.ensure_compile_time_eval():  # also inside a traced function
-            return jax.device_put(np.zeros(shape, dtype))
-
-    no_lookup: dict[str, Any] = {"blocks": None, "pages": None, "leaf_of_slot": zeros(np.uint16, 0)}
-    frames: list[Tables] = []
-    for i, each in enumerate(tables):
-        no_leaves = zeros(np.float32, each.leaf.num_leaf_parameters(each.dim), 0)
-        bits = zeros(np.uint32, *each.bits.shape)
-        frames.append(replace(each, bits=bits, leaf_parameters=no_leaves, **no_lookup))
-        of_straight = tuple(array.shape for array in each.straight or ())
-        kinds.setdefault((jax.tree_util.tree_structure(frames[i]), of_straight), []).append(i)
+    no_leaves = dict.fromkeys(("bits", "blocks", "pages", "leaf_of_slot", "leaf_parameters"))
+    frames: list[Tables] = [replace(each, **no_leaves) for each in tables]
+    for i, frame in enumerate(frames):
+        of_straight = tuple(array.shape for array in frame.straight or ())
+        kinds.setdefault((jax.tree_util.tree_structure(frame), of_straight), []).append(i)
     # 3. Merge the tables of each group.
     group, place = np.zeros((2, len(plrs)), np.uint32)
     groups = []

@@ -78,20 +78,6 @@ class TreeCosts(NamedTuple):
     best: Float[np.ndarray, " boxes"]  # of each box's best tree of computed boxes, possibly the box alone
     least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
 
-    @staticmethod
-    def of(level: BoxLevel, below: "TreeCosts", price: float, weight: float, limits: Limits) -> "TreeCosts":
-        # `below` has the costs of the next level. For a box b, over all axes along which its halves l, u are known:
-        #   best(b)  = min(cost(b) + price, best(l) + best(u))
-        #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
-        best = level.costs(weight) + price
-        halved = cost_if_halved(weight * level.boxes.peak, price)
-        least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
-        for lower, upper in level.child:
-            known = np.flatnonzero(lower >= 0)
-            for total, of_halves in ((best, below.best), (least, below.least)):
-                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
-        return TreeCosts(best, least)
-
 
 def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
     """Return, for each box, the least cost that is expected of a tree that halves the box.
@@ -120,12 +106,21 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     # A tree of b that costs at least most(b) improves no tree that contains it. The root has no such limit. Along an
     # axis, the two halves of b share what b may cost:
     #   most(half) = max over all boxes b with this half of min(best(b), most(b)) - least(other half of b).
-    # 1. Upward: costs of the boxes of every level.
+    # 1. Upward: costs of the boxes of every level. For a box b, over all axes along which its halves l, u are known:
+    #   best(b)  = min(cost(b) + price, best(l) + best(u))
+    #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
     costs: dict[int, TreeCosts] = {}
-    none = TreeCosts(np.zeros(0), np.zeros(0))  # below the last level
 
     def update_costs(depth: int) -> None:
-        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1, none), price, weight, limits)
+        level, below = levels[depth], costs.get(depth + 1, TreeCosts(np.zeros(0), np.zeros(0)))
+        best = level.costs(weight) + price
+        halved = cost_if_halved(weight * level.boxes.peak, price)
+        least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
+        for lower, upper in level.child:
+            known = np.flatnonzero(lower >= 0)
+            for total, of_halves in ((best, below.best), (least, below.least)):
+                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
+        costs[depth] = TreeCosts(best, least)
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)
@@ -187,26 +182,20 @@ _ATTEMPTS = 12  # most prices to try between a tree that fits and a tree that is
 _AIM = 0.9985  # share of the limits that such a price aims at
 _FULL = 0.997  # the search stops at a tree that fills this share of the limits
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
-Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
-"""For each level, the indices of the boxes that are leaves of a tree."""
 
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
+    """The tree of boxes with the least sum of its leaves' costs and a ``price`` per leaf."""
 
-    leaves: Leaves  # as indices into the levels' boxes
-    axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
-    order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
+    axes: list[Int[np.ndarray, " _"]]  # split axis of each node, level by level; -1 for a leaf
+    box: Int[np.ndarray, " leaves"]  # number of each leaf's box, in tree order; boxes are numbered level by level
     price: float
     num_bytes: int = 0
     is_final: bool = False  # whether the search for a larger tree is over
 
     def __len__(self) -> int:
-        return len(self.order)
-
-
-SizeFn: TypeAlias = Callable[[list[BoxLevel], PricedTree], int]
+        return len(self.box)
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
@@ -225,7 +214,7 @@ class PriceSearch:
     ``num_sources``, the number of possible apexes of cones, only affects the first price.
     """
 
-    def __init__(self, root: Any, limits: Limits, size: SizeFn, num_sources: int = 0) -> None:
+    def __init__(self, root: Any, limits: Limits, size: Callable[..., int], num_sources: int = 0) -> None:
         self._limits, self._size, self._num_sources = limits, size, num_sources
         self.levels = [BoxLevel(root)]
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
@@ -259,10 +248,8 @@ class PriceSearch:
 
         ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
-        for level, boxes in zip(self.levels, tree.leaves, strict=False):
-            if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
-                return False
-        return True
+        may_improve = (level.is_open(self._limits, weight) & (level.costs(weight) > 0) for level in self.levels)
+        return not np.concatenate([*may_improve], axis=1)[:, tree.box].any()
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
         """Return a lower price, for a larger tree, and the weight of a leaf's largest error in the leaf's cost."""
@@ -305,19 +292,18 @@ class PriceSearch:
         """
         # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
         # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
-        largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
             sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
             if self._fill(middle := self._tree(price, weight)) <= 1:
-                fits = largest = middle
+                fits = middle
             else:
                 beyond = middle
-            if self._fill(largest) > _FULL:
+            if self._fill(fits) > _FULL:
                 break
-        return replace(largest, is_final=True)
+        return replace(fits, is_final=True)
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
         """Return the tree of known boxes with the least sum of leaves' costs and prices."""
@@ -331,13 +317,15 @@ class PriceSearch:
             choices.append(options.argmin(axis=0) - 1)
             below = np.append(options.min(axis=0), np.inf)
         # 2. Downward from the root, collect the tree's nodes and leaves.
-        leaves, walked, nodes = [], [], np.zeros(1, np.int64)
+        axes, leaves, nodes = [], [], np.zeros(1, np.int64)
+        first = 0  # number of a level's first box
         for level, choice in zip(self.levels, reversed(choices), strict=True):
             if not len(nodes):
                 break
             axis = choice[nodes]
             is_inner = axis >= 0
-            leaves.append(nodes[~is_inner])
-            walked.append(axis)
+            axes.append(axis)
+            leaves.append(first + nodes[~is_inner])
             nodes = level.child[axis[is_inner], :, nodes[is_inner]].ravel()
-        return PricedTree(leaves, walked, leaf_order(walked), price)
+            first += len(level.key)
+        return PricedTree(axes, np.concatenate(leaves)[leaf_order(axes)], price)

@@ -1,28 +1,47 @@
-"""Group leaves into classes that share error bounds, and encode the classes in files (``portable/FORMAT.md``)."""
+"""Encode error bounds, and group leaves into classes that share bounds, for files (``portable/FORMAT.md``)."""
 
 from bisect import bisect_left
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int, Integer, Shaped
+from jaxtyping import Float, Int, Integer, Shaped, UInt8
 
 from plr_jax.plr.coding import BitReader, BitWriter
 
 Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
 CODE_BITS = 8  # of a code of a bound
+# Code c stands for the bound  scale * 2**((c - 255) / 12),  rounded up: the largest code is the scale itself.
+LARGEST_CODE = 255
+CODES_A_DOUBLING = 12
 _COUNT_BITS = 4  # bits of the number of classes less one
 _BITS_A_CLASS = 2 * 8 + 37  # two codes of bounds, and the least bits of a set: its size and the order of its code
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
-def classify_bounds(
-    codes: Codes, bound_of_code: Float[np.ndarray, " codes"], volume: Float[np.ndarray, " leaves"], max_bits: int
-) -> Codes:
+def decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
+    # The exact bound, rounded to 32 bits and then to the next larger number.
+    exact = scale * 2.0 ** ((code.astype(np.float64) - LARGEST_CODE) / CODES_A_DOUBLING)
+    return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
+
+
+def encode_bounds(bound: Float[np.ndarray, " leaves"], scale: float) -> UInt8[np.ndarray, " leaves"]:
+    # Codes whose bounds are at least ``bound``, from 0 to ``scale``: the least ones, but for rounding.
+    with np.errstate(divide="ignore"):
+        code = np.ceil(LARGEST_CODE + CODES_A_DOUBLING * np.log2(bound / scale))
+    code = np.clip(code, 0, LARGEST_CODE).astype(np.uint8)
+    short = (decode_bounds(code, scale) < bound) & (code < LARGEST_CODE)  # if the logarithm was rounded down
+    return code + short.astype(np.uint8)
+
+
+_BOUND_OF_CODE = decode_bounds(np.arange(LARGEST_CODE + 1), 1.0)  # in units of the scale
+
+
+def classify_bounds(codes: Codes, volume: Float[np.ndarray, " leaves"], max_bits: int) -> Codes:
     """Group leaves into classes that share error bounds, so that the bounds take at most ``max_bits`` bits in a file.
 
-    ``codes`` has codes of each leaf's own lower (row 0) and upper (row 1) bound; code ``i`` means the absolute value
-    ``bound_of_code[i]``. Return the codes of the shared bounds, in the same shape. The sum over the leaves of
-    ``volume`` times the width of the shared bounds is kept small.
+    ``codes`` has codes of each leaf's own lower (row 0) and upper (row 1) bound. Return the codes of the shared
+    bounds, in the same shape. The sum over the leaves of ``volume`` times the width of the shared bounds is kept
+    small.
     """
     # A leaf's rank is the rank of the larger of its two codes. A class has all leaves of consecutive ranks. Dynamic
     # programming finds the classes of least sum of weighted widths plus a price per bit; bisection finds the lowest
@@ -39,7 +58,7 @@ def classify_bounds(
     for of_rank, of_leaf in zip(highest, codes, strict=True):
         np.maximum.at(of_rank, rank_of, of_leaf)
     of_class = np.stack([of_ranges(of_rank, np.maximum) for of_rank in highest])
-    width = of_ranges(np.bincount(rank_of, volume), np.add) * bound_of_code[of_class].sum(axis=0)
+    width = of_ranges(np.bincount(rank_of, volume), np.add) * _BOUND_OF_CODE[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     # A set of m of n leaves takes about m log2(n / m) bits.
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
@@ -71,17 +90,15 @@ def classify_bounds(
     return best_classes(prices[num_fitting - 1]) if num_fitting else np.broadcast_to(of_class[:, :1, -1], codes.shape)
 
 
-def requantize_bounds(
-    codes: Codes, shared: Integer[np.ndarray, "2 _"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
-) -> Codes | None:
+def requantize_bounds(codes: Codes, shared: Integer[np.ndarray, "2 _"], max_bits: int) -> Codes | None:
     """Widen each leaf's bounds to the narrowest pair of bounds in ``shared`` that contains the leaf's bounds.
 
-    Each column of ``shared`` has the codes of a pair; pairs may repeat. ``codes`` and ``bound_of_code`` are as for
-    :func:`classify_bounds`. Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the
-    result takes more than ``max_bits`` bits in a file.
+    Each column of ``shared`` has the codes of a pair; pairs may repeat. ``codes`` are as for :func:`classify_bounds`.
+    Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the result takes more than
+    ``max_bits`` bits in a file.
     """
     classes = shared[:, np.unique(_class_keys(shared), return_index=True)[1]]
-    classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
+    classes = classes[:, np.argsort(_BOUND_OF_CODE[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)  # (classes, leaves)
     widened = classes[:, holds.argmax(axis=0)]  # the first class that holds, which is the narrowest
     return widened if holds.any(axis=0).all() and _fits(widened, max_bits) else None

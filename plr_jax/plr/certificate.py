@@ -7,21 +7,20 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
-from plr_jax.plr.bound_classes import CODE_BITS, classify_bounds, read_classes, requantize_bounds, write_classes
+from plr_jax.plr import bound_classes as classes
+from plr_jax.plr.bound_classes import CODE_BITS, LARGEST_CODE, decode_bounds, encode_bounds
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.tree import Cells, Rows
 
 Bounds: TypeAlias = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
+# Function ``(pieces, apex, offset, row)`` that bounds cones ``offset + |x - apex|`` minus leaf functions. It returns
+# the lower and upper bounds over each piece. ``row`` has the index of each piece's leaf function.
 ConeBoundsFn: TypeAlias = Callable[..., Bounds]
-"""Function ``(pieces, apex, offset, row)`` that bounds cones ``offset + |x - apex|`` minus leaf functions.
-
-It returns the lower and upper bounds over each piece. ``row`` has the index of each piece's leaf function.
-"""
 
 
 def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_above: ConeBoundsFn) -> Bounds:
@@ -97,13 +96,11 @@ class LeafFunctions(Rows):
 _MOST_ROUNDS = 48  # most rounds in which pieces of a leaf are halved
 _MOST_PIECES = 1 << 19  # most pieces that one round may halve
 Errors: TypeAlias = Float[np.ndarray, " leaves"]
+# Function ``sufficient(least, most, recompute)``: returns lower and upper bounds of errors that are tight enough.
+# ``least`` is the smallest error found at points of each leaf, or 0 if that is smaller; ``most`` is the largest
+# error, or 0 if that is larger. If ``recompute`` is False, the function may return about the same bounds as in the
+# call before.
 SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
-"""Function ``sufficient(least, most, recompute)``: returns lower and upper bounds of errors that are tight enough.
-
-``least`` is the smallest error found at points of each leaf, or 0 if that is smaller; ``most`` is the largest error,
-or 0 if that is larger. If ``recompute`` is False, the function may return about the same bounds as in the call
-before.
-"""
 
 
 def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> tuple[Errors, Errors]:
@@ -165,10 +162,9 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
         #    rounds and test them again, since attained errors have changed.
         is_open = open_pieces(not rounds.any())
         if rounds.any() and not is_open.any():
-            several, leaves, *bounds = zip(*aside, (visible, leaf, below, above), strict=True)
+            several, *columns = zip(*aside, (visible, leaf, below, above), strict=True)
             visible = several[0].append(*several[1:])
-            leaf = np.concatenate(leaves)
-            below, above = map(np.concatenate, bounds)
+            leaf, below, above = map(np.concatenate, columns)
             aside = []
             is_open = open_pieces(True)
         if not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
@@ -205,10 +201,7 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
     return visible.pieces_as_cells(piece).parts(parent, axis, is_upper, lo, hi)
 
 
-# Code c stands for the bound  scale * 2**((c - 255) / 12),  rounded up: the largest code is the scale itself.
-_MOST = 255  # largest code
-_CODES_A_DOUBLING = 12
-_A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)  # ratio of the bounds of consecutive codes
+_A_CODE = 2.0 ** (1 / classes.CODES_A_DOUBLING)  # ratio of the bounds of consecutive codes
 _MAX_ERROR_BITS = 32  # the scale, a 32-bit float
 _BYTES_A_BIT = 16  # classes get one bit for this many bytes of leaves
 _LEAST_BITS = 80  # with fewer bits there are no classes
@@ -326,22 +319,21 @@ class Certificate:
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:
-            largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # reserves the largest code for open leaves
+            largest *= 2.0 ** (1.1 / classes.CODES_A_DOUBLING)  # reserves the largest code for open leaves
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
         # 2. Without room for classes, the scale is the bound of all leaves.
         if proof is Proof.CLASSES and not (max_bits := _bits_of_classes(num_bytes)):
             return Certificate(scale, None, proof)
-        codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
+        codes = np.stack([encode_bounds(lower, scale), encode_bounds(np.where(is_open, scale, upper), scale)])
         # 3. Let leaves share codes: the classes of `before` if its scale still fits, else new ones.
         if proof is Proof.CLASSES:
-            factor = _decode_bounds(np.arange(_MOST + 1), 1.0)
             shared = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
-                of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
-                shared = requantize_bounds(of_scale, before.codes, factor, max_bits)
+                of_scale = np.stack([encode_bounds(lower, before.scale), encode_bounds(upper, before.scale)])
+                shared = classes.requantize_bounds(of_scale, before.codes, max_bits)
                 scale = scale if shared is None else before.scale
             if shared is None:
-                shared = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), max_bits)
+                shared = classes.classify_bounds(codes, np.broadcast_to(volume, lower.shape), max_bits)
             codes = None if (shared == shared[:, :1]).all() else shared
         return Certificate(scale, codes, proof)
 
@@ -356,9 +348,9 @@ class Certificate:
         """
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
-        lower, upper = _decode_bounds(self.codes, self.scale)
+        lower, upper = decode_bounds(self.codes, self.scale)
         if self.proof is Proof.OPEN_LEAVES:
-            upper[self.codes[1] == _MOST] = np.inf
+            upper[self.codes[1] == LARGEST_CODE] = np.inf
         return np.stack([-lower, upper])
 
     @cached_property
@@ -401,11 +393,11 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
         return Proof.CLASSES
     # The sign of the scale tells whether classes or a straight-line bound follow.
     proof, codes = certificate.proof, certificate.codes
-    classes = codes if proof is Proof.CLASSES else None
-    has_more = classes is not None or straight is not None
+    of_classes = codes if proof is Proof.CLASSES else None
+    has_more = of_classes is not None or straight is not None
     body.write_floats(np.array([-certificate.scale if has_more else certificate.scale]))
-    if classes is not None:
-        write_classes(body, classes)
+    if of_classes is not None:
+        classes.write_classes(body, of_classes)
     elif codes is not None:
         body.write(codes.ravel().astype(np.int64), CODE_BITS)
     if straight is not None:
@@ -429,21 +421,6 @@ def read_proof(body: BitReader, proof: Proof, cells: Cells) -> tuple[Certificate
     if proof is not Proof.CLASSES:
         codes = body.read_fixed_width(2 * len(cells), CODE_BITS).reshape(2, -1).astype(np.uint8)
     elif scale < 0:
-        codes = read_classes(body, len(cells)).astype(np.uint8)
+        codes = classes.read_classes(body, len(cells)).astype(np.uint8)
     straight = StraightBound.read(body, cells.dim) if proof is Proof.OPEN_LEAVES and scale < 0 else None
     return Certificate(abs(scale), codes, proof), straight
-
-
-def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
-    # The exact bound, rounded to 32 bits and then to the next larger number.
-    exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
-    return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
-
-
-def _encode_bounds(bound: Float[np.ndarray, " leaves"], scale: float) -> UInt8[np.ndarray, " leaves"]:
-    # Codes whose bounds are at least ``bound``, from 0 to ``scale``: the least ones, but for rounding.
-    with np.errstate(divide="ignore"):
-        code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
-    code = np.clip(code, 0, _MOST).astype(np.uint8)
-    short = (_decode_bounds(code, scale) < bound) & (code < _MOST)  # if the logarithm was rounded down
-    return code + short.astype(np.uint8)

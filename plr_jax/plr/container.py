@@ -280,10 +280,9 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
     return Box(*np.where(periodic, corners[::-1], corners), periodic=tuple(map(bool, periodic)))
 
 
-_REPLACED = (
-    "The arrays must be those that were built with the file, but were replaced, as by jax.tree.map. The file, its "
-    "proof and exports belong to the old arrays: to store other distances, fit them with construct."
-)
+_EXPECTED = "The arrays must be those that were built with the file, but were replaced, as by jax.tree.map."
+_ADVICE = "to store other distances, fit them with construct."
+_REPLACED = f"{_EXPECTED} The file, its proof and exports belong to the old arrays: {_ADVICE}"
 
 
 class FileBacked:

@@ -67,10 +67,6 @@ class NodalSpace:
     values: "csr_array"  # from values of free groups to values of all nodes; 0 at nodes of unreachable leaves
     prediction: "csr_array"  # of free groups from coarser ones: the mean of the ends of the edge that a split halved
 
-    @property
-    def dim(self) -> int:
-        return self.tree.cells.dim
-
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " leaves"]) -> NodalSpace:
     """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
@@ -108,8 +104,14 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     host_leaf, host_t = (of_others[::-1][hangs][first_point] for of_others in (leaf, t))
     step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
     of_groups = leaf_faces.resolve_constraints(step, hanging)
-    # 4. Level of a group, from its first node.
-    level = _node_levels(tree.leaves)[np.sort(first_node)]
+    # 4. Level of a group, from its first node: exponents of two in the denominators of its point, summed over the
+    #    axes. A corner's coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the
+    #    fraction is reduced.
+    numerator = tree.leaves.position[:, None] + corner_bits(dim)  # (leaves, corners, dim)
+    depth = tree.leaves.depth[:, None]
+    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
+    levels = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=2)  # of nodes
+    level = levels.ravel()[np.sort(first_node)]
     # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there:
     #   (below - above) @ of_groups @ f == 0,     with f the values of free groups.
     # Each row is solved for the group of the highest level in it, which is then no longer free. The matrix of these
@@ -147,16 +149,6 @@ def _face_corners(cells: Cells, faces: SharedFaces, axis: int) -> tuple[Pairs, F
     t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]  # in fractions of the leaf
     t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
     return leaf, t
-
-
-def _node_levels(cells: Cells) -> Int[np.ndarray, " nodes"]:
-    """Return the level of each node: exponents of two in the denominators of its point, summed over the axes."""
-    # A corner's coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the fraction is
-    # reduced.
-    numerator = cells.position[:, None] + corner_bits(cells.dim)  # (leaves, corners, dim)
-    depth = cells.depth[:, None]
-    lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
-    return np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=2).ravel()
 
 
 def _edge_means(tree: Tree, unreachable: Bool[np.ndarray, " leaves"], dof: Indices, num_dofs: int) -> "csr_array":
@@ -201,15 +193,6 @@ def basis_values(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
     Points have coordinates from 0 to 1 across the cell. ``order`` is 0 for multilinear and 1 for cubic functions.
     """
     return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
-
-
-def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    """Return the matrix that maps the degrees of freedom of a function to the coefficients of all leaves.
-
-    The degrees of freedom are the values that determine the function. The coefficients of a leaf belong to the basis
-    functions of :func:`basis_values`. Rows of the matrix are sorted by leaf.
-    """
-    return space.values if order == 0 else _values_and_derivatives(space)
 
 
 def basis_monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
@@ -259,39 +242,30 @@ def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> 
     return values.reshape(n, (2 * kinds) ** t.shape[1])
 
 
-def _values_and_derivatives(space: NodalSpace) -> "csr_array":
-    from scipy.sparse import csr_array
+def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
+    """Return the matrix that maps the degrees of freedom of a function to the coefficients of all leaves.
 
-    # From the free degrees of freedom to the Hermite coefficients of all leaves.
+    The degrees of freedom are the values that determine the function. The coefficients of a leaf belong to the basis
+    functions of :func:`basis_values`. Rows of the matrix are sorted by leaf.
+    """
+    from scipy.sparse import csr_array, diags_array, kron
+
+    if order == 0:
+        return space.values
     # A kind k has a bit for each axis along which it differentiates: kind 0 is the value. D[g, k] is the derivative
     # of kind k, by fractions of the domain, at group g; h is the depth of a leaf, whose widths are 2**-h. At place t
     # of the leaf (0 to 1 along each axis), its function with the Hermite basis B is
     #   f(t) = sum over corners c and kinds k of B[c, k](t) * 2**-(h . k) * D[group of c, k].
     # In vectors and matrices, D[g, k] has the row or column `index[g, k]`.
-    num_groups, num_kinds = int(space.group.max()) + 1, 1 << space.dim
-    index = np.arange(num_groups * num_kinds).reshape(num_groups, num_kinds)
-    # 1. Compute D at groups that do not hang, then at hanging groups.
-    of_groups = leaf_faces.resolve_constraints(_host_derivatives(space, index), index[space.hanging].ravel())
-    of_groups = of_groups @ _mean_derivatives(space, index)
-    # 2. Coefficients of all leaves, by corner, then kind: 2**-(h . k) * D[group of c, k].
-    depth = np.repeat(space.tree.leaves.depth, num_kinds, axis=0)  # h, of each node's leaf
-    scale = np.ldexp(1.0, -(depth @ corner_bits(space.dim).T))
-    node = np.flatnonzero(np.diff(space.values.indptr))  # nodes with values
-    row = np.arange(scale.size).reshape(scale.shape)
-    place = row[node].ravel(), index[space.group[node]].ravel()
-    return csr_array(csr_array((scale[node].ravel(), place), (scale.size, index.size)) @ of_groups)
-
-
-def _mean_derivatives(space: NodalSpace, index: Int[np.ndarray, "groups kinds"]) -> "csr_array":
-    from scipy.sparse import csr_array, diags_array, kron
-
-    # From the free degrees of freedom to D at groups that do not hang: the mean over the group's nodes of (mixed)
-    # derivatives of the leaves' multilinear functions. The derivative of kind k is 2**(h . k) times a difference of
-    # corner values along each axis of the kind.
-    kinds, group = corner_bits(space.dim), space.group
+    kinds, group = corner_bits(space.tree.cells.dim), space.group
+    index = np.arange((int(group.max()) + 1) * len(kinds)).reshape(-1, len(kinds))
     depth = np.repeat(space.tree.leaves.depth, len(kinds), axis=0)  # h, of each node's leaf
-    is_averaged = (np.diff(space.values.indptr) > 0) & ~np.isin(group, space.hanging)
-    derivatives = csr_array((index.size, len(space.free_dofs)))
+    has_value = np.diff(space.values.indptr) > 0  # of each node
+    # 1. From the free degrees of freedom to D at groups that do not hang: the mean over the group's nodes of (mixed)
+    #    derivatives of the leaves' multilinear functions. The derivative of kind k is 2**(h . k) times a difference
+    #    of corner values along each axis of the kind.
+    means = csr_array((index.size, len(space.free_dofs)))
+    is_averaged = has_value & ~np.isin(group, space.hanging)
     for kind, along in enumerate(kinds):
         in_leaf = reduce(np.kron, [np.array([[-1.0, 1.0]] * 2) if is_along else np.eye(2) for is_along in along])
         differences = kron(diags_array(np.ones(len(space.tree.leaves))), csr_array(in_leaf))
@@ -300,23 +274,21 @@ def _mean_derivatives(space: NodalSpace, index: Int[np.ndarray, "groups kinds"])
         weight = scale * is_averaged
         weight /= np.bincount(group, weight)[group] + (weight == 0)
         mean = csr_array((weight, (index[group, kind], np.arange(len(group)))), (index.size, len(group)))
-        derivatives = derivatives + mean @ (csr_array(diags_array(scale) @ differences) @ space.values)
-    return csr_array(derivatives)
-
-
-def _host_derivatives(space: NodalSpace, index: Int[np.ndarray, "groups kinds"]) -> "csr_array":
-    from scipy.sparse import csr_array
-
-    # From D at corners of host leaves to D at hanging groups. The derivative of kind j of a host's function f is
-    #   2**(h . j) * sum over corners c and kinds k of B'[c, k](t) * 2**-(h . k) * D[group of c, k],
-    # with B'[c, k] the derivative of kind j of B[c, k].
-    kinds = corner_bits(space.dim)
-    depth = space.tree.leaves.depth[space.host_leaf]  # h
-    hosts = space.group.reshape(-1, len(kinds))[space.host_leaf]  # groups of corners c
-    to_domain = np.ldexp(1.0, depth @ kinds.T)  # 2**(h . j), (hanging, kinds)
+        means = means + mean @ (csr_array(diags_array(scale) @ differences) @ space.values)
+    # 2. From D at corners of host leaves to D at hanging groups. The derivative of kind j of a host's function f is
+    #      2**(h . j) * sum over corners c and kinds k of B'[c, k](t) * 2**-(h . k) * D[group of c, k],
+    #    with B'[c, k] the derivative of kind j of B[c, k].
+    hosts = group.reshape(-1, len(kinds))[space.host_leaf]  # groups of corners c
+    to_domain = np.ldexp(1.0, space.tree.leaves.depth[space.host_leaf] @ kinds.T)  # 2**(h . j), (hanging, kinds)
     to_leaf = np.tile(1 / to_domain, len(kinds))  # 2**-(h . k), by corner, then kind
     basis = np.stack([_derivatives(1, space.host_position, along) for along in kinds])  # (kinds, hanging, terms)
     weights = basis * to_leaf * to_domain.T[:, :, None]
     rows = np.broadcast_to(index[space.hanging].T[:, :, None], weights.shape)
     columns = np.broadcast_to(index[hosts].reshape(weights.shape[1:]), weights.shape)
-    return csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), (index.size, index.size))
+    of_hosts = csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), (index.size, index.size))
+    # 3. D at all groups, and the coefficients of all leaves, by corner, then kind: 2**-(h . k) * D[group of c, k].
+    of_groups = leaf_faces.resolve_constraints(of_hosts, index[space.hanging].ravel()) @ csr_array(means)
+    scale = np.ldexp(1.0, -(depth @ kinds.T))
+    row = np.arange(scale.size).reshape(scale.shape)
+    place = row[has_value].ravel(), index[group[has_value]].ravel()
+    return csr_array(csr_array((scale[has_value].ravel(), place), (scale.size, index.size)) @ of_groups)

@@ -161,9 +161,23 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
         vectors *= np.sign(vectors[largest, np.arange(len(largest))])
         axes[np.ix_(mixes, mixes)] = vectors.T
     signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
-    mirrors = _assign_pivots(signs < 0, ~np.array(domain.periodic))
 
-    # 3. Find the fixed point of all symmetries that is nearest to the middle of the domain. With x = middle + step,
+    # 3. Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others, which
+    #    reverse no axis that may be a pivot. Two mirrors one after the other are again a symmetry: it reverses the
+    #    axes that exactly one of them reverses, the XOR of their rows.
+    rows = signs < 0
+    rank = 0  # rows above it have pivots
+    for axis in np.flatnonzero(~np.array(domain.periodic)):
+        if not len(below := np.flatnonzero(rows[rank:, axis])):
+            continue
+        rows[[rank, rank + below[0]]] = rows[[rank + below[0], rank]]  # swap
+        others = rows[:, axis].copy()
+        others[rank] = False
+        rows[others] ^= rows[rank]
+        rank += 1
+    mirrors = tuple(tuple(map(bool, row)) for row in rows[:rank])
+
+    # 4. Find the fixed point of all symmetries that is nearest to the middle of the domain. With x = middle + step,
     #    each symmetry gives (1 - S) step = offset - (1 - S) middle. The solution of least norm is the nearest.
     middle = (domain.lo + domain.hi) / 2
     moved = np.concatenate([np.eye(domain.dim) - symmetry.matrix for symmetry in symmetries])
@@ -176,27 +190,8 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
         return None
     center = np.where(np.abs(step) <= scale * 1e-3, middle, middle + step)  # no step by a rounding error
 
-    # 4. Keep the mirrors that cut the domain, if they make it smaller.
+    # 5. Keep the mirrors that cut the domain, if they make it smaller.
     folding = Folding(domain, center, axes, mirrors)
     folding = replace(folding, mirrors=folding.cutting_mirrors)
     is_smaller = np.prod(folding.box.width) < np.prod(domain.width) * (1 - _SAME_PLACE)
     return folding if folding.mirrors and is_smaller else None
-
-
-def _assign_pivots(
-    mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, " dim"]
-) -> tuple[tuple[bool, ...], ...]:
-    # Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others, which
-    # reverse no axis that may be a pivot. Two mirrors one after the other are again a symmetry: it reverses the axes
-    # that exactly one of them reverses, the XOR of their rows.
-    rows = mirrors.copy()
-    rank = 0  # rows above it have pivots
-    for axis in np.flatnonzero(may_pivot):
-        if not len(below := np.flatnonzero(rows[rank:, axis])):
-            continue
-        rows[[rank, rank + below[0]]] = rows[[rank + below[0], rank]]  # swap
-        others = rows[:, axis].copy()
-        others[rank] = False
-        rows[others] ^= rows[rank]
-        rank += 1
-    return tuple(tuple(map(bool, row)) for row in rows[:rank])

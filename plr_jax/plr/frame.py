@@ -20,10 +20,10 @@ _FAR = 4.0  # a domain is far beyond this many widths from the origin: 32-bit co
 _FEWEST_PLACES = {"float32": 2**12, "float64": 1 / 256}
 LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the largest 32-bit float
 
+# A point, such as the domain's lower corner, relative to which other points are given.
 Corner: TypeAlias = Float[np.ndarray, " dim"]
-"""A point, such as the domain's lower corner, relative to which other points are given."""
+# For each mirror, its *pivot* axis and all axes that it reverses; it mirrors points of negative pivot coordinate.
 Mirrors: TypeAlias = tuple[tuple[int, tuple[int, ...]], ...]
-"""For each mirror, its *pivot* axis and all axes that it reverses; it mirrors points of negative pivot coordinate."""
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
 """Answer to a query outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
 

@@ -96,8 +96,7 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
 
 
 NEVER = -np.inf
-Leaves: TypeAlias = Int[np.ndarray, " leaves"]
-"""Indices of the nodes that are leaves."""
+Leaves: TypeAlias = Int[np.ndarray, " leaves"]  # indices of the nodes that are leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +264,8 @@ _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of few
 _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
 _SAMPLES_AT_ONCE = 2**20  # about as many samples of cells are fitted at once
 _LAST_SHARE = 32  # a round makes at least 1/32 of all splits that were made or are possible, if so many are allowed
+# Function ``(fit, parent_keys)`` that turns fitted cells, and their parents' keys, into nodes of a growing tree.
 NodesOf: TypeAlias = Callable[[CellFit, Priorities], Nodes]
-"""Function ``(fit, parent_keys)`` that turns fitted cells, and their parents' keys, into nodes of a growing tree."""
 
 
 class Encoding(NamedTuple):

@@ -178,9 +178,7 @@ def neighbor_of_largest_contact(tree: Tree, borrowers: Leaves, donors: Leaves, p
     return donor_of[borrowers]
 
 
-def touching_leaves(
-    tree: Tree, some: Leaves, others: Leaves, periodic: tuple[bool, ...]
-) -> Int[np.ndarray, "2 pairs"]:
+def touching_leaves(tree: Tree, some: Leaves, others: Leaves, periodic: tuple[bool, ...]) -> Pairs:
     """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner.
 
     Leaves are given and returned by their indices.
@@ -241,9 +239,6 @@ class SharedFaces(Rows):
     upper: Int[np.ndarray, " faces"]
     axis: Int[np.ndarray, " faces"]
 
-    def __len__(self) -> int:
-        return len(self.axis)
-
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
     """Return all faces that two leaves share, sorted by lower leaf, then upper leaf, then axis.
@@ -286,6 +281,17 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
     return low[:, None] + (high - low)[:, None] * w
 
 
+def leaves_at_corners(tree: Tree) -> Int[np.ndarray, "nodes corners"]:
+    """Return the leaf in each corner of each node."""
+    # Upward from the leaves: the leaf in a corner of a split node is in the same corner of one of its halves.
+    bits = corner_bits(tree.cells.dim)
+    leaf_at = np.repeat(tree.leaf_of_node[:, None], len(bits), axis=1)
+    for split in reversed(tree.splits):
+        half = tree.child[split][:, None] + bits[:, tree.axis[split]].T
+        leaf_at[split] = leaf_at[half, np.arange(len(bits))]
+    return leaf_at
+
+
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
     """Return, for each corner of each leaf, the two ends of the edge that a split halved to create the corner.
 
@@ -296,19 +302,16 @@ def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Boo
     #       lower half    |    upper half           the ends are corners of this node
     bits = corner_bits(tree.cells.dim)  # (corners, dim) of 0 and 1
     corners = np.arange(len(bits))
-    # 1. Downward: the node whose split made each corner of each node. A half keeps the corners on its outer side.
+    # 1. From the root down: the node whose split made each corner of each node. A half keeps the corners on its outer
+    #    side.
     origin = np.full((len(tree.child), len(bits)), -1)
     for split in tree.splits:
         for half in range(2):
             stays = (bits == half)[:, tree.axis[split]].T
             origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
-    # 2. Upward: the leaf in each corner of each node.
-    leaf_at = np.repeat(tree.leaf_of_node[:, None], len(bits), axis=1)
-    for split in reversed(tree.splits):
-        leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
-    # 3. The ends of the halved edge: clear and set the corner's bit of the split axis. For corners of the domain,
+    # 2. The ends of the halved edge: clear and set the corner's bit of the split axis. For corners of the domain,
     #    this has no meaning.
     made_by = origin[tree.node_of_leaf]
     across = (1 << np.arange(tree.cells.dim)[::-1])[tree.axis[made_by]]
     ends = np.stack([corners & ~across, corners | across], axis=-1)
-    return leaf_at[made_by[..., None], ends] * len(bits) + ends, made_by >= 0
+    return leaves_at_corners(tree)[made_by[..., None], ends] * len(bits) + ends, made_by >= 0

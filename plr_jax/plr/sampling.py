@@ -44,10 +44,6 @@ class Pattern:
         return len(self.u)
 
     @cached_property
-    def reaches_beyond(self) -> bool:
-        return bool((np.abs(self.u) > 1).any())
-
-    @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
         """Matrix ``[1 u]`` that maps a plane (center value, half of its rise along each axis) to sample values."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
@@ -123,8 +119,7 @@ _RIDGE = 1e-9
 OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
 OfTerms: TypeAlias = Float[np.ndarray, "cells terms"]
 Planes: TypeAlias = tuple[Float[np.ndarray, " cells"], Float[np.ndarray, "cells dim"]]
-FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
-"""Function that fits planes, called like :func:`least_squares`."""
+FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]  # called like :func:`least_squares`
 
 
 def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Planes:
@@ -201,9 +196,6 @@ class CellFit(Rows):
     urgent_axis: Int[np.ndarray, " cells"]
     is_cut_off: Bool[np.ndarray, " cells"]
 
-    def __len__(self) -> int:
-        return len(self.cells)
-
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
         """Indices of the cells with a sample whose weight is not 1, such as one that does not reach the goal."""
@@ -239,10 +231,10 @@ class Sampler:
         """Sample the distance in cells, and fit a plane to the samples of each cell that reach the goal."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
-        if pattern.reaches_beyond:
+        if reaches_beyond := (np.abs(pattern.u) > 1).any():
             points = self.domain.wrapped(points)
         x = points.reshape(-1, cells.dim)
-        if self.cache is None or pattern.reaches_beyond:  # the cache is for points inside of the cells
+        if self.cache is None or reaches_beyond:  # the cache is for points inside of the cells
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
             distance = distances_in_cells(self.cache.sources(cells), points)
@@ -251,8 +243,7 @@ class Sampler:
         if self.weight_fn is not None:
             weight *= call_weights(self.weight_fn, x).reshape(weight.shape)
         value = np.where(reachable, distance, 0.0)
-        weight_of_fit = weight if self.weight_fn is None else weights_of_fit(reachable, weight)
-        center, half = self.compute_coefficients(pattern, value, weight_of_fit)
+        center, half = self.compute_coefficients(pattern, value, weights_of_fit(reachable, weight))
         _check_planes(center, half, cells)
         residual = value - (center[:, None] + row_products(half, pattern.u.T))
         residual *= reachable
@@ -379,20 +370,14 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     return as_distances("distance_fn", answer, x)
 
 
-@dataclass(frozen=True, eq=False)
-class ParallelOracle:
-    """A distance function that the workers of an executor evaluate in parallel, in tasks of up to 1,024 points."""
-
-    distance_fn: DistanceFn
-    executor: Executor
-
-    def __call__(self, x: Points) -> Distances:
-        parts = enumerate(batches(x, _POINTS_OF_TASK))
-        tasks = {number: partial(call_oracle, self.distance_fn, part) for number, part in parts}
-        answers: dict[int, Distances] = {}
-        run_tasks(self.executor, tasks, answers)
-        # If workers died, this process computes the missing answers.
-        return np.concatenate([np.empty(0), *(answers[i] if i in answers else task() for i, task in tasks.items())])
+def parallel_distances(distance_fn: DistanceFn, executor: Executor, x: Points) -> Distances:
+    """Evaluate a distance function on the workers of an executor, in tasks of up to 1,024 points."""
+    parts = enumerate(batches(x, _POINTS_OF_TASK))
+    tasks = {number: partial(call_oracle, distance_fn, part) for number, part in parts}
+    answers: dict[int, Distances] = {}
+    run_tasks(executor, tasks, answers)
+    # If workers died, this process computes the missing answers.
+    return np.concatenate([np.empty(0), *(answers[i] if i in answers else task() for i, task in tasks.items())])
 
 
 def run_tasks(

@@ -329,12 +329,13 @@ class Tables:
 
     # Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
     frame: Float[Array, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
-    bits: UInt32[Array, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
+    # Mask of the fraction bits that index an entry or block, and their right shift. With a trie: None.
+    bits: UInt32[Array, "2 dim"] | Any
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[Array, " slots"] | UInt32[Array, " slots"]
-    # For each leaf or, with pages, for each entry: see :func:`arrange_parameters`.
-    leaf_parameters: Float[Array, "count padded"] | Float[Array, " numbers"]
+    leaf_of_slot: UInt16[Array, " slots"] | UInt32[Array, " slots"] | Any  # with a trie: None
+    # For each leaf or, with pages, for each entry: see :func:`arrange_parameters`. Merged tables set it last.
+    leaf_parameters: Float[Array, "count padded"] | Float[Array, " numbers"] | Any
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None

@@ -60,8 +60,8 @@ class TableStack:
 
 @jax.jit
 def _evaluate(tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n _"], ...]) -> tuple[Array, ...]:
+    def of_robot(of_plr: Tables, band: Float[Array, "2 _"] | None, x: Float[Array, "n _"]) -> Array:
+        return evaluate_tables(of_plr, x) if band is None else bounds_of_tables(of_plr, band, x)[0]
+
     # One array for each robot, since XLA would compute a single array in one slower loop.
-    robots = zip(tables, bands, points, strict=True)
-    return tuple(
-        bounds_of_tables(t, band, x)[0] if band is not None else evaluate_tables(t, x) for t, band, x in robots
-    )
+    return tuple(map(of_robot, tables, bands, points))

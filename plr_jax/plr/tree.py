@@ -20,6 +20,9 @@ class Rows:
     Indexing selects the same rows of all arrays.
     """
 
+    def __len__(self) -> int:
+        return len(next(iter(self._columns().values())))
+
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
 
@@ -50,9 +53,6 @@ class Cells(Rows):
     @staticmethod
     def root(dim: int) -> "Cells":
         return Cells(np.zeros((1, dim), np.int64), np.zeros((1, dim), np.int64))
-
-    def __len__(self) -> int:
-        return len(self.depth)
 
     @property
     def dim(self) -> int:

@@ -10,9 +10,9 @@ from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.pairs.construct import corners_seen, grow_lists, lattice_step
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.leaves.base import check_limits
+from plr_jax.plr.leaves.base import GivenLimits, check_limits
 
-LIMITS = check_limits(leaf_model("cone"), 2, Proof.NONE, 13, max_bytes=10_000)
+LIMITS = check_limits(leaf_model("cone"), 2, Proof.NONE, 13, GivenLimits(max_bytes=10_000))
 
 
 def test_smaller_budgets_give_fewer_leaves_and_equal_budgets_equal_bytes():

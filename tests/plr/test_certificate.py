@@ -120,7 +120,7 @@ def test_classes_contain_their_codes_and_fit_their_room(seed, num_leaves, room):
     rng = np.random.default_rng(seed)
     codes = rng.geometric(0.03, (2, num_leaves)) + 150 * (rng.random((2, num_leaves)) < 0.02)
     codes = np.clip(codes, 0, 255)
-    found = classify_bounds(codes, FACTOR, rng.random(num_leaves), room)
+    found = classify_bounds(codes, rng.random(num_leaves), room)
     assert (found >= codes).all()
     np.testing.assert_array_equal(found.max(axis=1), codes.max(axis=1))
     assert written_classes(found).num_bits <= room or (found == found[:, :1]).all()
@@ -135,7 +135,7 @@ def test_two_classes_have_the_least_mean_width(seed):
     """Among all cuts of the range of codes, with room for two classes."""
     rng = np.random.default_rng(seed)
     codes, volume = np.where(rng.random(200) < 0.03, 255, rng.integers(20, 40, (2, 200))), rng.random(200)
-    found = classify_bounds(codes, FACTOR, volume, 130)
+    found = classify_bounds(codes, volume, 130)
     assert np.unique(found, axis=1).shape[1] == 2
     key = codes.max(axis=0)
     for _, cut in pairwise(np.unique(key)):

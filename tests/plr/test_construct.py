@@ -16,7 +16,7 @@ from plr_jax.plr._construct import _models_to_try
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import ConstructionInterrupted, grow
 from plr_jax.plr.leaves import leaf_names
-from plr_jax.plr.leaves.base import check_limits
+from plr_jax.plr.leaves.base import GivenLimits, check_limits
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tree import Cells
 
@@ -314,7 +314,7 @@ def test_files_fill_the_budget_of_bytes_with_few_errors():
 def limits(dim=2, least_bytes: int | float = 2, has_deep_trees=False, **given):
     size = lambda dim, leaves: 4 * leaves  # noqa: E731
     model = SimpleNamespace(least_bytes=least_bytes, has_deep_trees=has_deep_trees, bytes_without_budget=size)
-    return check_limits(model, dim, Proof.NONE, 13, **given)
+    return check_limits(model, dim, Proof.NONE, 13, GivenLimits(**given))
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,15 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
+class GivenLimits(NamedTuple):
+    """The limits that :func:`construct` was given; None for each limit that was not given."""
+
+    max_depth: int | None = None
+    max_leaves: int | None = None
+    max_bytes: int | None = None
+    tolerance: int | float | None = None
+
+
 MAX_TIED_DIM = 6  # largest dimension of continuous leaves, which have 64 corners there
 UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
@@ -100,12 +109,10 @@ class LeafModel(ABC):
         """
 
     @abstractmethod
-    def cone_minus_leaf_bounds(
-        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
-    ) -> Bounds:
+    def cone_minus_leaf_bounds(self, leaf: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances) -> Bounds:
         """Return lower and upper bounds of a cone minus a leaf's function, over a convex polygon in the leaf.
 
-        Bounds ``i`` are for the leaf ``leaves[i]``, the polygon ``pieces[:, i]`` and the cone ``offset[i] + |x -
+        Bounds ``i`` are for the function ``leaf[i]``, the polygon ``pieces[:, i]`` and the cone ``offset[i] + |x -
         apex[i]|``.
         """
 
@@ -216,17 +223,15 @@ class PolynomialLeafModel(LinearLeafModel):
             total = total * place[0] + term
         return total
 
-    def cone_minus_leaf_bounds(
-        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
-    ) -> Bounds:
+    def cone_minus_leaf_bounds(self, leaf: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances) -> Bounds:
         # Taylor's expansion about the center c of a piece's bounding box: there, the leaf's function at x is
         #   value + slope . (x - c) = intercept + slope . x,    up to an error of at most `remainder`.
         # `center` and `half_width` are in local coordinates, from 0 to 1 across the leaf.
         piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
-        width = leaves.hi - leaves.lo
-        center = ((piece_lo + piece_hi) / 2 - leaves.lo) / width
+        width = leaf.hi - leaf.lo
+        center = ((piece_lo + piece_hi) / 2 - leaf.lo) / width
         half_width = (piece_hi - piece_lo) / 2 / width
-        powers = (leaves.coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
+        powers = (leaf.coefficients @ self.monomials(2)).reshape(-1, self.num_powers, self.num_powers)
         value, slope, remainder = enclosing_planes(powers, center, half_width)
         slope = slope / width
         intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2
@@ -251,30 +256,21 @@ def read_step(body: BitReader) -> list[float]:
     return [offset, step]
 
 
-def check_limits(
-    model: LeafModel,
-    dim: int,
-    proof: Proof,
-    frame_bytes: int,
-    max_depth: int | None = None,
-    max_leaves: int | None = None,
-    max_bytes: int | None = None,
-    tolerance: int | float | None = None,
-) -> Limits:
+def check_limits(model: LeafModel, dim: int, proof: Proof, frame_bytes: int, given: GivenLimits) -> Limits:
     """Check the limits that :func:`construct` was given, and return them with defaults in place of None.
 
     ``proof`` is the kind of error bounds in the file. The file without leaves and bounds takes ``frame_bytes`` bytes.
     """
     # 1. Check the values.
-    counts = {"max_depth": max_depth, "max_leaves": max_leaves, "max_bytes": max_bytes}
-    for name, value in counts.items():
+    max_depth, max_leaves, max_bytes, tolerance = given
+    for name, value, least in ("max_depth", max_depth, 0), ("max_leaves", max_leaves, 1), ("max_bytes", max_bytes, 1):
         if value is not None:
-            require_integer(name, value, 0 if name == "max_depth" else 1)
+            require_integer(name, value, least)
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
     if tolerance is not None:
         as_finite("tolerance", tolerance)
-    if tolerance is None and all(value is None for value in counts.values()):
+    if given == GivenLimits():
         max_leaves = DEFAULT_MAX_LEAVES
     # 2. The lookup tables depend on the file's size: take the smaller of the sizes that the bytes and leaves allow.
     max_bytes = None if max_bytes is None else int(max_bytes)

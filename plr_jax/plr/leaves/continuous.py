@@ -45,31 +45,25 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int
 
     # With S = diag(normal)**-1/2, solve (S normal S) y = S moments; then x = S y. The scaled matrix is well
     # conditioned for leaves of all sizes.
+    # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     if dim > _MOST_DIM_OF_FACTORS:
         scale = 1 / np.sqrt(normal.diagonal())
-        values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
-        if values is not None:
-            return scale * values
+        matrix = (diags_array(scale) @ normal @ diags_array(scale)).tocsr()
+        residual = direction = scale * moments
+        values = np.zeros_like(residual)
+        initial_square = square = np.einsum("i,i", residual, residual)
+        for _ in range(_MOST_STEPS):
+            if square <= _RESIDUAL**2 * initial_square:
+                return scale * values
+            image = matrix @ direction
+            step = square / np.einsum("i,i", direction, image)
+            values = values + step * direction
+            residual = residual - step * image
+            previous_square, square = square, np.einsum("i,i", residual, residual)
+            direction = residual + square / previous_square * direction
     # Without pivoting, which a positive definite matrix does not need, the factors have a quarter of the entries.
     lu = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return lu.solve(moments)
-
-
-def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
-    # Solve ``matrix @ values = right``; None if this takes more than _MOST_STEPS steps. SciPy's ``cg`` calls BLAS,
-    # whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
-    values, residual, direction = np.zeros_like(right), right, right
-    initial_square = square = np.einsum("i,i", right, right)
-    for _ in range(_MOST_STEPS):
-        if square <= _RESIDUAL**2 * initial_square:
-            return values
-        image = matrix @ direction
-        step = square / np.einsum("i,i", direction, image)
-        values = values + step * direction
-        residual = residual - step * image
-        previous_square, square = square, np.einsum("i,i", residual, residual)
-        direction = residual + square / previous_square * direction
-    return None
 
 
 _NUM_POINTS = 32  # test points of a face

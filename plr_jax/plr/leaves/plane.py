@@ -259,11 +259,9 @@ class Plane(IndependentLeafModel):
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * ((lo + hi) / 2 - corner)), slope])
 
-    def cone_minus_leaf_bounds(
-        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
-    ) -> Bounds:
-        slope = leaves.coefficients[:, 1:] * 2 / (leaves.hi - leaves.lo)
-        intercept = leaves.coefficients[:, 0] - (slope * (leaves.lo + leaves.hi)).sum(axis=1) / 2
+    def cone_minus_leaf_bounds(self, leaf: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances) -> Bounds:
+        slope = leaf.coefficients[:, 1:] * 2 / (leaf.hi - leaf.lo)
+        intercept = leaf.coefficients[:, 0] - (slope * (leaf.lo + leaf.hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:

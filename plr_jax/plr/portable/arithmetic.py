@@ -19,6 +19,7 @@ from plr_jax.plr.tree import Tree
 
 Value: TypeAlias = Any  # a number, an array, or an expression
 Point: TypeAlias = list[Value]  # coordinates of points, one value per axis
+LeafRows: TypeAlias = Float[np.ndarray, "rows count"]  # distinct parameters of leaves
 _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
 
 
@@ -263,9 +264,7 @@ class CodedTree:
         self.code_type = np.dtype(np.uint16 if code.max() < 2**16 else np.uint32)
 
 
-def distinct_rows(
-    numbers: Float[np.ndarray, "leaves count"],
-) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, " leaves"]]:
+def distinct_rows(numbers: Float[np.ndarray, "leaves count"]) -> tuple[LeafRows, Int[np.ndarray, " leaves"]]:
     """Return the distinct rows of ``numbers`` in order of first appearance, and the index of each leaf's row.
 
     ``numbers`` has 32-bit floats; rows are equal if all their bits are.

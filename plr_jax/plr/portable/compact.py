@@ -29,12 +29,12 @@ from jaxtyping import Float, Int, Shaped
 from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.coding import BitWriter, bits_of_floats
 from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
+from plr_jax.plr.leaf_faces import leaves_at_corners
 from plr_jax.plr.leaves import Plane, code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
 from plr_jax.plr.tree import Tree, corner_bits
 
-DECODER = Path(__file__).with_name("decoder.h")
-"""The source of the decoder."""
+DECODER = Path(__file__).with_name("decoder.h")  # the source of the decoder
 
 # The bytes, as in ``decoder.h``.
 _MAGIC = int.from_bytes(b"PLC1", "little")
@@ -189,7 +189,7 @@ class _CompactWriter:
             origin = np.zeros(self.dim) if program.corner is None or contents.folding is not None else program.corner
             corner = origin + table_corners(box.moved(-origin))[0]
             exact = np.stack([box.lo, box.hi, corner, program.domain.lo, program.domain.hi], axis=1)
-            self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)
+            self.body.write_doubles(exact.ravel())
         # 3. Mirrors, or straight lines; then zeros up to a whole byte.
         self.at_folding = self._at
         if program.folding_arrays is not None:
@@ -314,14 +314,10 @@ class _Middles:
         self.fraction_bits = int(np.argmin(np.count_nonzero(is_inexact, axis=(1, 2))))
         # 2. The wanted value at a corner of a node is the value of the leaf there. Unreachable leaves may have any
         #    value; near smooth leaves, it must differ from theirs, and one above the mean usually does.
-        bits = corner_bits(tree.cells.dim)
-        corner = np.arange(len(bits))
-        leaf_at = np.empty((len(tree.child), len(bits)), np.int64)  # by node and corner
-        leaf_at[tree.node_of_leaf] = np.arange(len(codes))[:, None]
-        for split in reversed(tree.splits):
-            leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corner]
+        bits, leaf_at = corner_bits(tree.cells.dim), leaves_at_corners(tree)
         is_free = partition.unreachable[leaf_at]
-        wanted = np.rint(np.ldexp(codes, self.fraction_bits)).astype(np.int64)[leaf_at, corner] * ~is_free
+        codes = np.rint(np.ldexp(codes, self.fraction_bits)).astype(np.int64)
+        wanted = codes[leaf_at, np.arange(len(bits))] * ~is_free
         # 3. Halve the edges, level by level from the root down, along each axis.
         number = np.cumsum(tree.child >= 0) - 1  # of each split
         self.corners = np.empty_like(leaf_at)  # values by node and corner

@@ -221,9 +221,8 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     if of_cells or not bits:
         return [comment, *js_function("function leaf()", statements)]
     shifts = [bits * (tree.dim - 1 - axis) for axis in range(tree.dim)]  # of each axis in the index of a grid cell
-    index = " | ".join(
-        f"place[{axis}] >>> {32 - bits}" + (f" << {shift}" if shift else "") for axis, shift in enumerate(shifts)
-    )
+    places = (f"place[{axis}] >>> {32 - bits} << {shift}".removesuffix(" << 0") for axis, shift in enumerate(shifts))
+    index = " | ".join(places)
     return [
         comment,
         *js_function("function descend()", statements),

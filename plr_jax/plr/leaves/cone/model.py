@@ -19,7 +19,7 @@ from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth import Limits, best_axis, largest_error
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
-from plr_jax.plr.leaves.cone.search import best_cones_of_goal
+from plr_jax.plr.leaves.cone.search import best_cones
 from plr_jax.plr.sampling import Sampler
 from plr_jax.plr.tree import Cells, Tree
 
@@ -61,7 +61,7 @@ class Cone(LeafModel):
         visible = sampler.cache.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
-        return best_cones_of_goal(visible, sampler, limits)
+        return best_cones(visible, sampler, limits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         write_cones(body, domain, stored)
@@ -79,10 +79,8 @@ class Cone(LeafModel):
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
-    def cone_minus_leaf_bounds(
-        self, leaves: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances
-    ) -> Bounds:
-        return difference_of_cones(pieces, apex, offset, leaves.coefficients[:, 1:], leaves.coefficients[:, 0])
+    def cone_minus_leaf_bounds(self, leaf: LeafFunctions, pieces: Pieces, apex: Points, offset: Distances) -> Bounds:
+        return difference_of_cones(pieces, apex, offset, leaf.coefficients[:, 1:], leaf.coefficients[:, 0])
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
         # Errors, in UNIT, of the value offset + |d|, where d = (x - corner) - source is at most |source| + width:

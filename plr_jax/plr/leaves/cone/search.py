@@ -26,12 +26,11 @@ from plr_jax.plr.sampling import Pattern, Sampler
 from plr_jax.plr.source_cache import distances_in_cells
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
-_MOST_TRIED = 4
-"""Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
+_MOST_TRIED = 4  # sources to try for a box: those that the centers of its largest convex pieces of free space use
+# An index for each option, a pair of a box and a source: of the box (or its first sample), or of the source.
 Indices: TypeAlias = Int[np.ndarray, " options"]
-"""An index for each option, a pair of a box and a source: of the box (or its first sample), or of the source."""
+# The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path.
 LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
-"""The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
 FitsFn: TypeAlias = Callable[[LeafSources], bool]
 
 
@@ -273,9 +272,7 @@ def change_sources(source: LeafSources, options: LeafOptions, total: float, most
     return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
-def best_cones_of_goal(
-    visible: CellSources, sampler: Sampler, limits: Limits
-) -> tuple[Tree, StoredCones, CellSources]:
+def best_cones(visible: CellSources, sampler: Sampler, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
     ``visible`` has the whole domain as its only cell. Samples of ``sampler.pattern`` in a leaf show from where walls
@@ -288,20 +285,18 @@ def best_cones_of_goal(
     root = replace(root, by_side=limits.proof is Proof.NONE)
     files = ConeFiles(visible.sources, sampler.domain)
 
-    def in_order(levels: list[BoxLevel], priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
-        # The tree, in the canonical form of files, and the number of each leaf's box, as in `boxes_of_levels`.
+    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
+        # The tree, in the canonical form of files, and the number of each leaf's box.
         tree = tree_of(tree_of_axes(priced.axes, 2).leaves)
-        first_number = np.cumsum([0, *(len(level.key) for level in levels)])
-        number = np.concatenate([first + leaf for first, leaf in zip(first_number, priced.leaves, strict=False)])
-        return tree, number[priced.order][tree.order]
+        return tree, priced.box[tree.order]
 
     def size(levels: list[BoxLevel], priced: PricedTree) -> int:
-        source = np.concatenate([level.boxes.source for level in levels])[in_order(levels, priced)[1]]
+        source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
         return files.num_bytes(source, limits) * (ROOM + 1) // ROOM
 
     # 2. Search the price at which the tree fills the file.
     search = PriceSearch(root, limits, size, len(np.unique(visible.source)))
-    tree, number = in_order(search.levels, grow(search.first(), search.next, limits))
+    tree, number = in_order(grow(search.first(), search.next, limits))
     # 3. Change sources of leaves.
     boxes = boxes_of_levels([level.boxes for level in search.levels], number)
     source = prefer_visible_sources(boxes, sampler.pattern, partial(files.fit, limits))

@@ -77,11 +77,6 @@ class _GoalTree:
         parent = np.searchsorted(self.number, self.nodes.parent)
         self._made_by = np.where(self.nodes.parent < 0, -1, self._split_rank[parent])
 
-    @property
-    def largest_open_key(self) -> float:
-        """The largest key (proven error) of the unsplit nodes that may still be split; 0 if there are none."""
-        return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
-
     def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
         """Return the leaves of the tree that has only the first ``num_splits`` splits.
 
@@ -130,12 +125,13 @@ class _Search:
         the largest tree within the limits, or nearly the largest.
         """
         beyond, share_of_beyond = tree.num_splits, tree.used_share(tree.num_splits)
-        if share_of_beyond <= 1 and not tree.largest_open_key:
-            return beyond
         if share_of_beyond <= 1:
+            # Nodes that may still be halved have positive keys (proven errors).
+            if not (largest_key := tree.nodes.key[tree.nodes.axis < 0].max(initial=0.0)):
+                return beyond
             self._fits, self._share_of_fits = beyond, share_of_beyond
             growth = min(_GROWTH, _BEYOND / share_of_beyond)  # wanted number of leaves / number of leaves now
-            self.threshold = min(self.threshold, tree.largest_open_key) * growth**-_RATE
+            self.threshold = min(self.threshold, largest_key) * growth**-_RATE
             return None
         # False position: the used share counts as linear between a number of splits that fits and one beyond.
         fits, share_of_fits = self._fits, self._share_of_fits
