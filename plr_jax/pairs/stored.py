@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import NO_ARCS, Arcs, Graph
 from plr_jax.geometry.vectors import left_normal, orientation, pseudo_angle
@@ -411,9 +410,8 @@ class PairsFileData:
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         if (count := len(corner)) > MOST_CORNERS:
             raise ValueError(f"it may have at most {MOST_CORNERS} corners, got {count}")
-        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Solved for j with i =
-        #    0, this gives j up to rounding, which the next two lines correct. Files of release 0.1 may have the pairs
-        #    in a layer of their own, with a rounding error that counts instead.
+        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Files of release 0.1
+        #    may have the pairs in a layer of their own, with a rounding error that counts instead.
         if others:
             if not body.at_end():
                 raise ValueError("it holds more data than its outline needs")
@@ -427,10 +425,9 @@ class PairsFileData:
             places, arcs = _read_places(body, count)
             count += len(places)
             number = np.append(number, num_pairs + body.read_members(comb(count, 2) - num_pairs))
-        j = ((1 + np.sqrt(1 + 8 * number.astype(np.float64))) // 2).astype(np.int64)
-        j -= j * (j - 1) // 2 > number
-        j += j * (j + 1) // 2 <= number
-        edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
+        first_number = np.arange(count) * np.arange(-1, count - 1) // 2  # of the pairs of each j
+        j = np.searchsorted(first_number, number, side="right") - 1
+        edges = np.stack([number - first_number[j], j], axis=1)
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         # 3. Read the tree and the leaves' lists.
@@ -474,28 +471,18 @@ def _read_lists(body: BitReader, tree: Tree, count: int, most: int) -> tuple[Ent
     ``count`` is the number of corners. ``ValueError`` if the lists have more than ``most`` entries.
     """
     # Level by level, each half of a split node takes over its parent's list, less the corners that the file says it
-    # drops. `nodes` are the nodes of a level. Entry k of the level has the node `nodes[row[k]]` and `corner[k]`.
-    corner = np.flatnonzero(~body.read_set(count))
-    nodes, row = np.zeros(1, np.int64), np.zeros(len(corner), np.int64)  # the root alone
-    entries_of_leaves, num_of_leaves = [], 0
-    for split in tree.splits:
-        # 1. Set the lists of leaves aside.
-        place = tree.leaf_of_node[nodes[row]]  # -1 for nodes that are split
-        entries_of_leaves.append((place[place >= 0], corner[place >= 0]))
-        num_of_leaves += len(entries_of_leaves[-1][0])
-        # 2. Copy the list of each split node to both halves, in the order lower, upper.
-        halves = tree.halves(split)
-        first = np.searchsorted(row, np.arange(len(nodes) + 1))
-        parent = np.repeat(np.searchsorted(nodes, split), 2)
-        if num_of_leaves + int((first[parent + 1] - first[parent]).sum()) > most:
+    # drops.
+    is_listed = np.zeros((len(tree.child), count), bool)  # by node and corner
+    is_listed[0] = ~body.read_set(count)
+    num_entries = is_listed[0].sum()  # of the leaves so far and of the nodes of a level
+    for split in filter(len, tree.splits):
+        by_half = is_listed[np.repeat(split, 2)]
+        num_inherited = int(by_half.sum())
+        num_entries += num_inherited // 2
+        if num_entries > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
-        inherited, row = take_ragged(first, parent)
-        corner = corner[inherited]
-        # 3. Drop corners.
-        if len(halves):
-            is_kept = ~body.read_set(len(corner))
-            row, corner = row[is_kept], corner[is_kept]
-        nodes = halves
-    leaf, listed = (np.concatenate(column) for column in zip(*entries_of_leaves, strict=True))
-    order = np.argsort(leaf, kind="stable")
-    return leaf[order], listed[order]
+        is_dropped = body.read_set(num_inherited)
+        by_half[by_half] = ~is_dropped
+        num_entries -= is_dropped.sum()
+        is_listed[tree.halves(split)] = by_half
+    return np.nonzero(is_listed[tree.node_of_leaf])

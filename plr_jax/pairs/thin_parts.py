@@ -70,24 +70,23 @@ def with_thin_parts(
 
     # 3. List the points of the new outline: ring, place, vertex, and whether the wall that begins there is thin.
     rows = []
-    for ring in range(len(outline.first) - 1):
-        for i in range(outline.first[ring], outline.first[ring + 1]):
-            own = spans.get(i, [])
-            is_thin = bool(own) and own[0][0] <= 0
-            rows.append((ring, places[i], vertex[i], is_thin))
-            # A sharp tip between thin walls gets a second point, a neighbor on the lattice: a query that rounding
-            # puts on or across a thin wall sees the tip's corner on its own side. Seen along `ahead`, the ring
-            # reaches the tip on its left and leaves it on its right, so the second point is on the right.
-            if is_thin and is_sharp[i] and previous[i] in thin_at_end:
-                rows.append((ring, free_neighbor(places[i], ahead[i][1], -ahead[i][0]), vertex[i], True))
-                taken.add(rows[-1][1])
-            # Cut the wall inside: at the start of a span, a thin wall begins, at its end a thick one.
-            ends = [(end, k == 0) for span in own for k, end in enumerate(span) if 0 < end < lengths[i]]
-            for distance, is_thin in ends:
-                cut = np.rint(outline.points[i] + distance / lengths[i] * onward[i] / outline.step).astype(int)
-                if (place := tuple(cut.tolist())) not in taken:
-                    rows.append((ring, place, -1, is_thin))
-                    taken.add(place)
+    for i, ring in enumerate(np.repeat(np.arange(len(outline.first) - 1), np.diff(outline.first))):
+        own = spans.get(i, [])
+        is_thin = bool(own) and own[0][0] <= 0
+        rows.append((ring, places[i], vertex[i], is_thin))
+        # A sharp tip between thin walls gets a second point, a neighbor on the lattice: a query that rounding
+        # puts on or across a thin wall sees the tip's corner on its own side. Seen along `ahead`, the ring
+        # reaches the tip on its left and leaves it on its right, so the second point is on the right.
+        if is_thin and is_sharp[i] and previous[i] in thin_at_end:
+            rows.append((ring, free_neighbor(places[i], ahead[i][1], -ahead[i][0]), vertex[i], True))
+            taken.add(rows[-1][1])
+        # Cut the wall inside: at the start of a span, a thin wall begins, at its end a thick one.
+        ends = [(end, k == 0) for span in own for k, end in enumerate(span) if 0 < end < lengths[i]]
+        for distance, is_thin in ends:
+            cut = np.rint(outline.points[i] + distance / lengths[i] * onward[i] / outline.step).astype(int)
+            if (place := tuple(cut.tolist())) not in taken:
+                rows.append((ring, place, -1, is_thin))
+                taken.add(place)
     rings, points, vertex, thin = (np.array(column) for column in zip(*rows, strict=True))
     outline = replace(outline, points=points, first=np.searchsorted(rings, np.arange(len(outline.first))))
     return replace(outline, thin=np.union1d(np.flatnonzero(thin), thin_walls(outline, free_space, width))), vertex
