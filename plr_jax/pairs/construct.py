@@ -26,7 +26,7 @@ from plr_jax.geometry.graph import Arcs
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
-from plr_jax.pairs.thin_parts import FINEST, with_thin_parts
+from plr_jax.pairs.thin_parts import FINEST, VertexOutline, with_thin_parts
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import Limits, grow
@@ -43,9 +43,7 @@ _FINEST_EVER = 2.0**-37
 _SLACK = 8  # number of workspace tolerances by which visibility may err
 
 
-def outline_of(
-    boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float
-) -> tuple[Outline, PointIndices]:
+def outline_of(boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float) -> VertexOutline:
     """Round the boundary of free space to a lattice; also return the vertex index of each point of the outline.
 
     ``origin`` is the position of the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at
@@ -66,8 +64,8 @@ def outline_of(
     apart: Any = shapely.distance(shapely.points(vertices[near]), walls)
     step = lattice_step(vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
     points = np.rint((vertices - origin) / step).astype(np.int64)
-    vertex = edges[order, 0]
-    return Outline(origin, step, points[vertex], first, may_squeeze=False), vertex
+    vertex, is_thin = edges[order, 0], np.zeros(len(order), bool)
+    return Outline(origin, step, points[vertex], first, may_squeeze=False, is_thin=is_thin), vertex
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
@@ -86,7 +84,7 @@ def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " 
     return np.array(order), np.array(first)
 
 
-def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
+def with_open_contacts(outline: Outline, vertex: PointIndices) -> VertexOutline:
     """Open the contacts of an outline (points where obstacles touch), so that paths may pass between the obstacles.
 
     The rings of the new outline follow walls around obstacles instead of around free space. ``vertex`` is the index
@@ -104,8 +102,8 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
     if (outline.is_contact & is_beside_thin).any():
         return outline, vertex
     order, first = _rings_of(outline.following_past_contacts)
-    thin = np.flatnonzero(outline.is_thin[order])
-    return replace(outline, points=outline.points[order], first=first, thin=thin, may_squeeze=True), vertex[order]
+    points, is_thin = outline.points[order], outline.is_thin[order]
+    return replace(outline, points=points, first=first, is_thin=is_thin, may_squeeze=True), vertex[order]
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
@@ -289,9 +287,8 @@ def construct_stored(
 
     def file_data(leaves: Lists) -> PairsFileData:
         tree = tree_of(leaves[0])
-        leaf, listed = (leaves[1][tree.order] @ corners_at).sorted_indices().nonzero()
-        columns = tree, leaf, listed, rounding
-        return PairsFileData(domain, outline, point_of, edges, *columns, places=true[len(point_of) :], arcs=arcs)
+        lists = (leaves[1][tree.order] @ corners_at).sorted_indices()
+        return PairsFileData(domain, outline, point_of, edges, tree, lists, rounding, "", true[len(point_of) :], arcs)
 
     most = min(limits.max_leaves, most_leaves(num_corners))
     root = corners_seen(visibility, workspace.triangulation, domain)

@@ -30,6 +30,7 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import pytree
+from plr_jax.geometry.graph import connected_groups
 
 # Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
@@ -340,8 +341,13 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds two straight legs
     if most < 0:
         raise ValueError(_TOO_LONG)
-    # 1. Build the graph of corners that see each other.
-    edges = _graph_of_corners(free, connectivity)
+    # 1. Build the graph of corners that see each other, with edges as long as on an empty grid.
+    places, ends = np.flatnonzero(corner_cells(free)), corners_in_sight(free, connectivity)
+    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
+    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
+    edges: _Edges = [{} for _ in places]
+    for a, b, length in zip(*(each.tolist() for each in (*ends, lengths)), strict=True):
+        edges[a][b] = edges[b][a] = length
     has_table = len(edges) <= MOST_IN_TABLE
     if has_table and len(edges) * (len(edges) + 1) // 2 * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
@@ -355,26 +361,11 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
                 raise ValueError(_TOO_LONG)
             return labels
         distances = _all_pairs(order, uppers, progress)
-    # 3. Check that all corners of a connected component have distances below `most`. The corner of a component that
-    #    is eliminated last, which has no neighbors left, stands for the component.
-    component = np.arange(len(order))
-    for corner in reversed(order):
-        component[corner] = component[next(iter(uppers[corner]), corner)]
-    if np.count_nonzero(distances < most) != (np.bincount(component, minlength=1) ** 2).sum():
+    # 3. Check that all corners of a connected component have distances below `most`.
+    component = connected_groups(len(places), np.stack(ends))
+    if np.count_nonzero(distances < most) != (np.bincount(component) ** 2).sum():
         raise ValueError(_TOO_LONG)
     return _compressed(distances, connectivity)
-
-
-def _graph_of_corners(free: Grid, connectivity: int) -> _Edges:
-    """Return edges between corners that see each other, as long as on an empty grid."""
-    places = np.flatnonzero(corner_cells(free))
-    ends = corners_in_sight(free, connectivity)
-    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
-    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
-    edges: _Edges = [{} for _ in places]
-    for a, b, length in zip(*(column.tolist() for column in (*ends, lengths)), strict=True):
-        edges[a][b] = edges[b][a] = length
-    return edges
 
 
 def _compressed(distances: Int32[np.ndarray, "corners corners"], connectivity: int) -> CornerTable:

@@ -3,9 +3,9 @@
 import re
 import struct
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -65,8 +65,7 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     return np.logical_xor.accumulate(differs_from_above, axis=0), connectivity
 
 
-@dataclass(frozen=True, eq=False)
-class GridHeader:
+class GridHeader(NamedTuple):
     """C code for a grid: the ``text`` of a C header, and ``table``, the bytes of the file that the code reads."""
 
     text: str

@@ -178,9 +178,9 @@ class NumpyPairs:
         #    which all distances and coordinates are `inf`.
         count, corners = len(stored.cells), stored.num_corners
         self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
-        lengths = np.bincount(stored.leaf, minlength=count)
+        lengths = np.diff(stored.lists.indptr)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
-        self._lists[ragged_indices(lengths)] = stored.listed
+        self._lists[ragged_indices(lengths)] = stored.lists.indices
         self._distances, self._has_arcs = distances_table(stored, corners + 1), len(stored.arcs.start) > 0
         # 3. Walls and corners, moved in three ways, and what both bounds leave for errors.
         self._obstacles = MovedObstacles.of(stored, is_certain=False)

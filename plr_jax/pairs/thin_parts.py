@@ -21,25 +21,25 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from plr_jax.pairs.portable import MARGIN, RECEDING
 from plr_jax.pairs.stored import MITRE, Outline
 
 FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queries may not resolve sharper tips
+# An outline, and the index of the boundary vertex at each of its points, -1 for none.
+VertexOutline = tuple[Outline, Int[np.ndarray, " _"]]
 _Spans = list[tuple[float, float]]  # intervals of a wall, as distances from its start
 
 
-def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, " thin"]:
-    """Return the indices of thin walls: moved into their obstacle, these walls come near free space."""
+def are_thin(outline: Outline, free_space: Any, width: float) -> Bool[np.ndarray, " walls"]:
+    """Return whether each wall is thin: moved into its obstacle, a thin wall comes near free space."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, moves_all=True).reshape(-1, 2, 2))
-    return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
+    return shapely.dwithin(free_space, walls, MARGIN * width)
 
 
-def with_thin_parts(
-    outline: Outline, vertex: Int[np.ndarray, " points"], free_space: Any, width: float
-) -> tuple[Outline, Int[np.ndarray, " found_points"]]:
+def with_thin_parts(outline: Outline, vertex: Int[np.ndarray, " _"], free_space: Any, width: float) -> VertexOutline:
     """Cut walls that are thin only in part, and mark the thin walls of the outline.
 
     ``vertex`` is the index of the boundary vertex at each point of the outline. Return the new outline, and the
@@ -87,9 +87,10 @@ def with_thin_parts(
             if (place := tuple(cut.tolist())) not in taken:
                 rows.append((ring, place, -1, is_thin))
                 taken.add(place)
-    rings, points, vertex, thin = (np.array(column) for column in zip(*rows, strict=True))
-    outline = replace(outline, points=points, first=np.searchsorted(rings, np.arange(len(outline.first))))
-    return replace(outline, thin=np.union1d(np.flatnonzero(thin), thin_walls(outline, free_space, width))), vertex
+    rings, points, vertex, is_thin = (np.array(column) for column in zip(*rows, strict=True))
+    first = np.searchsorted(rings, np.arange(len(outline.first)))
+    outline = replace(outline, points=points, first=first, is_thin=is_thin)
+    return replace(outline, is_thin=is_thin | are_thin(outline, free_space, width)), vertex
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _Spans]:
@@ -107,8 +108,8 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _S
     #    more than `_NEEDLE * reach`), or come near free space.
     is_turned = (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
     is_needle = np.linalg.norm(moved[:, 0] - start, axis=1) > _NEEDLE * reach
-    thin = np.flatnonzero(is_turned | is_needle | is_needle[following])
-    thin = np.union1d(thin, thin_walls(outline, free_space, width)).tolist()
+    is_thin = is_turned | is_needle | is_needle[following] | are_thin(outline, free_space, width)
+    thin = np.flatnonzero(is_thin).tolist()
     # 2. Find their thin parts, with `2 * reach` on either side.
     near_free: Any = shapely.buffer(free_space, 2 * MARGIN * width) if thin else None
     spans: dict[int, _Spans] = {}

@@ -100,8 +100,7 @@ def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Arr
 @lru_cache(maxsize=8)
 def lattice(shape: Shape) -> Float[np.ndarray, "corners 2"]:
     """Return the points ``(x, y)`` inside the grid at which four cells meet, row by row."""
-    rows, columns = np.mgrid[1 : shape[0], 1 : shape[1]].reshape(2, -1)
-    return np.stack([columns, rows], axis=1).astype(float)
+    return cell_centers((shape[0] - 1, shape[1] - 1)) + 0.5
 
 
 def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
