@@ -3,9 +3,9 @@
 import re
 import struct
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -65,8 +65,7 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     return np.logical_xor.accumulate(differs_from_above, axis=0), connectivity
 
 
-@dataclass(frozen=True, eq=False)
-class GridHeader:
+class GridHeader(NamedTuple):
     """C code for a grid: the ``text`` of a C header, and ``table``, the bytes of the file that the code reads."""
 
     text: str
@@ -222,26 +221,16 @@ class GridPairs:
         group_block, cell_block = np.asarray(tables.group_block), np.asarray(tables.cell_block)
         first_block = group_block[np.arange(len(cell_block)) // GROUP] + cell_block  # of each cell
         rows, columns = tables.shape
-        marks = {
-            "SIGHT": sections[f"sight {tables.connectivity}"],
-            "DISTANCES": sections["distances by " + ("table" if isinstance(distances, CornerTable) else "labels")],
-            "ARRAYS": "\n".join(accessors),
-            "ROWS": rows,
-            "COLUMNS": columns,
-            "CELLS": rows * columns,
-            "CONNECTIVITY": tables.connectivity,
-            "SIZE": f"{len(file):,}",
-            "BYTES": len(file),
-            "CRC": int.from_bytes(file[-4:], "little"),
-            "CENTERS": len(distances.between_centers) if isinstance(distances, CornerTable) else 0,
-            "MOST": BLOCK * max(int(np.diff(first_block).max()), 1),  # corners of a cell
-            "FAR": FAR,
-            "UNIT": STRAIGHT[tables.connectivity],
-            "DIAGONAL": DIAGONAL[tables.connectivity],
-            "BLOCK": BLOCK,
-            "GROUP": GROUP,
-            "NAME": name,
-        }
+        sight, kind = f"sight {tables.connectivity}", "table" if isinstance(distances, CornerTable) else "labels"
+        centers = len(distances.between_centers) if isinstance(distances, CornerTable) else 0
+        most = BLOCK * max(int(np.diff(first_block).max()), 1)  # corners of a cell
+        crc = int.from_bytes(file[-4:], "little")
+        # Sections of the template come first: they have marks, too.
+        marks: dict[str, Any] = {"SIGHT": sections[sight], "DISTANCES": sections[f"distances by {kind}"]}
+        marks |= {"ARRAYS": "\n".join(accessors), "SIZE": f"{len(file):,}", "BYTES": len(file), "CRC": crc}
+        marks |= {"ROWS": rows, "COLUMNS": columns, "CELLS": rows * columns, "CONNECTIVITY": tables.connectivity}
+        marks |= {"CENTERS": centers, "MOST": most, "BLOCK": BLOCK, "GROUP": GROUP, "NAME": name}
+        marks |= {"FAR": FAR, "UNIT": STRAIGHT[tables.connectivity], "DIAGONAL": DIAGONAL[tables.connectivity]}
         text = sections["header"]
         for mark, value in marks.items():
             text = text.replace(f"@{mark}@", str(value))
