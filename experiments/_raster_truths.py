@@ -19,7 +19,8 @@ from scipy.sparse.csgraph import dijkstra
 
 RADIUS = 6_371_008.8  # of the earth, in meters
 Raster = Float[np.ndarray, "rows columns"]
-Cell = tuple[int, int]
+Cell = tuple[int, int]  # row and column
+Pair = tuple[float, float]  # x and y, or longitude and latitude
 Factor = Callable[[np.ndarray], np.ndarray]
 
 
@@ -33,14 +34,11 @@ def over_sides(costs: Raster, sources: list[Cell], points: int) -> Raster:
     place = np.arange(rows * points + 1)[:, None] % points * (np.arange(columns * points + 1) % points) == 0
     number = np.where(place, place.ravel().cumsum().reshape(place.shape) - 1, -1)
     centers = place.sum() + np.arange(costs.size).reshape(costs.shape)
-    ring = [p for p in product(range(points + 1), repeat=2) if {0, points} & {*p}]
+    lines = {*product((0, 1), (0, points))}  # those of a cell's sides: axis and place
+    ring = [p for p in product(range(points + 1), repeat=2) if lines & {*enumerate(p)}]
     nodes = {p: number[p[0] :: points, p[1] :: points][:rows, :columns] for p in ring}
     nodes[points / 2, points / 2] = centers
-    ways = [
-        (p, q)
-        for p, q in combinations(nodes, 2)
-        if not any(a == b and a in (0, points) for a, b in zip(p, q, strict=True))
-    ]
+    ways = [(p, q) for p, q in combinations(nodes, 2) if not lines & {*enumerate(p)} & {*enumerate(q)}]
     edges = [(nodes[p], nodes[q], costs * dist(p, q)) for p, q in ways]
     padded = np.pad(costs, 1, constant_values=np.inf)
     across = np.minimum(padded[:-1], padded[1:])[:, 1:-1].repeat(points, axis=1)  # the cheaper cell counts
@@ -50,24 +48,15 @@ def over_sides(costs: Raster, sources: list[Cell], points: int) -> Raster:
     begin, end = (np.concatenate([edge[k].ravel() for edge in edges]).astype(np.int32) for k in (0, 1))
     cost = np.concatenate([edge[2].ravel() for edge in edges]) / points
     graph = coo_array((cost, (begin, end)), shape=(centers.max() + 1,) * 2).tocsr()
-    starts = [centers[source] for source in sources]
-    return dijkstra(graph, directed=False, indices=starts, min_only=True)[centers]
+    return dijkstra(graph, directed=False, indices=[centers[at] for at in sources], min_only=True)[centers]
 
 
 def over_lattice(
-    costs: Raster,
-    heights: Raster,
-    side: tuple[float, float],
-    source: Cell,
-    factor: Factor,
-    reach: int,
-    finer: int = 4,
-    from_source: bool = False,
+    costs: Raster, heights: Raster, side: Pair, source: Cell, factor: Factor, reach: int, finer: int
 ) -> Raster:
     """Return costs of shortest paths over a lattice of ``finer`` nodes a cell, with edges up to ``reach`` nodes long.
 
-    The cost of an edge is the integral along it of the cost times ``factor(slope)``: summed over pieces that lie in
-    one square of the lattice each, where costs are constant.
+    The cost of an edge is the integral along it, toward the source, of the cost times ``factor(slope)``.
     """
     shape = [count * finer + 1 for count in costs.shape]
     steps = [(i, j) for i, j in product(range(-reach, reach + 1), repeat=2) if gcd(i, j) == 1]
@@ -81,7 +70,7 @@ def over_lattice(
         total, before = 0.0, _bilinear(heights, y / finer - 0.5, x / finer - 0.5)
         for a, b in pairwise(cuts):
             after = _bilinear(heights, (y + b * i) / finer - 0.5, (x + b * j) / finer - 0.5)
-            slope = (after - before) / ((b - a) * length) * (1 if from_source else -1)
+            slope = (before - after) / ((b - a) * length)
             middle = (y[:, None] + (a + b) / 2 * i) / finer, (x + (a + b) / 2 * j) / finer
             total, before = total + (b - a) * _cost_at(padded, reach, *middle) * factor(slope), after
         weights[..., k] = length * total
@@ -108,9 +97,7 @@ def _bilinear(heights: Raster, y: np.ndarray, x: np.ndarray) -> Raster:
     return shares[0] @ heights @ shares[1].T
 
 
-def cost_of_path(
-    path: Float[np.ndarray, "n 2"], costs: Raster, heights: Raster, side: tuple[float, float], factor: Factor
-) -> float:
+def cost_of_path(path: Float[np.ndarray, "n 2"], costs: Raster, heights: Raster, side: Pair, factor: Factor) -> float:
     """Return the integral of cost times ``factor(slope)`` along a path of vertices ``(x, y)``.
 
     Costs are those of cells. Heights are linear between crossings of rows and columns of cells' centers.
@@ -136,16 +123,14 @@ def _crossings(begin: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
             yield share[(share > 1e-9) & (share < 1 - 1e-9)]
 
 
-def great_circle(longitude: np.ndarray, latitude: np.ndarray, source: tuple[float, float]) -> np.ndarray:
+def great_circle(longitude: np.ndarray, latitude: np.ndarray, source: Pair) -> np.ndarray:
     """Return the lengths, in meters, of great circles to a source ``(longitude, latitude)``, all in degrees."""
     x, y, x0, y0 = (np.radians(each) for each in (longitude, latitude, *source))
     haversine = np.sin((y - y0) / 2) ** 2 + np.cos(y) * np.cos(y0) * np.sin((x - x0) / 2) ** 2
     return 2 * RADIUS * np.arcsin(np.minimum(np.sqrt(haversine), 1))
 
 
-def marched_on_sphere(
-    costs: Raster, origin: tuple[float, float], step: float, sources: list[Cell], finer: int
-) -> Raster:
+def marched_on_sphere(costs: Raster, origin: Pair, step: float, sources: list[Cell], finer: int) -> Raster:
     """Return costs of paths on a sphere by a march over Mercator's map, with ``finer`` nodes a cell along parallels.
 
     The raster's first corner is ``origin``, longitude and latitude; its cells are ``step`` degrees wide and high. At
