@@ -61,7 +61,7 @@ def reliefs(smoke: bool) -> dict[str, tuple[Raster, Pair]]:
 
 
 def land(heights: Raster, side: Pair, num_roads: int = 0) -> Raster:
-    """Return costs of a walker: classes of slope, wet lowlands, ``num_roads`` of one cell's width in each direction."""
+    """Return costs of a walker: classes of slope, wet lowlands, and roads of one cell in both directions."""
     slope = np.hypot(*np.gradient(heights, *side[::-1]))
     costs = np.array([1.0, 2.0, 5.0, 10.0])[np.digitize(slope, np.quantile(slope, [0.4, 0.7, 0.9]))]
     costs[heights <= np.quantile(heights, 0.08)] = 6.0
