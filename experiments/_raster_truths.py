@@ -9,6 +9,7 @@ References: Lanthier, Maheshwari, Sack, "Approximating shortest paths on weighte
 from collections.abc import Callable, Iterator
 from itertools import combinations, pairwise, product
 from math import dist, gcd
+from typing import Any
 
 import numpy as np
 import skfmm
@@ -36,7 +37,7 @@ def over_sides(costs: Raster, sources: list[Cell], points: int) -> Raster:
     centers = place.sum() + np.arange(costs.size).reshape(costs.shape)
     lines = {*product((0, 1), (0, points))}  # those of a cell's sides: axis and place
     ring = [p for p in product(range(points + 1), repeat=2) if lines & {*enumerate(p)}]
-    nodes = {p: number[p[0] :: points, p[1] :: points][:rows, :columns] for p in ring}
+    nodes: dict[Any, Any] = {p: number[p[0] :: points, p[1] :: points][:rows, :columns] for p in ring}
     nodes[points / 2, points / 2] = centers
     ways = [(p, q) for p, q in combinations(nodes, 2) if not lines & {*enumerate(p)} & {*enumerate(q)}]
     edges = [(nodes[p], nodes[q], costs * dist(p, q)) for p, q in ways]

@@ -48,7 +48,8 @@ Rows = Iterator[dict[str, Any]]
 
 def reliefs(smoke: bool) -> dict[str, tuple[Raster, Pair]]:
     """Return heights of reliefs, with the width and height of their cells, all in meters."""
-    found = {"jacksboro": (matplotlib.cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"], 36.59)}
+    sample: Any = matplotlib.cbook.get_sample_data("jacksboro_fault_dem.npz")
+    found = {"jacksboro": (sample["elevation"], 36.59)}
     if folder := os.environ.get("PLR_JAX_DEM"):
         found["pysheds"] = np.asarray(Image.open(Path(folder) / "dem.tif")), 32.67
     else:
@@ -90,7 +91,7 @@ def tobler(slope: np.ndarray) -> np.ndarray:
 def _over_lattice(*case: Any, smoke: bool) -> tuple[Raster, float]:
     # The truth, and how far it is off: the difference that fewer neighbors make, and that which more nodes make.
     graphs = ((3, 2), (2, 2), (2, 4)) if smoke else ((7, 4), (5, 4), (5, 6))
-    truth, coarse, fine = (truths.over_lattice(*case, reach, finer) for reach, finer in graphs)
+    truth, coarse, fine = (truths.over_lattice(*case, reach=reach, finer=finer) for reach, finer in graphs)
     return truth, _errors(coarse, truth)["mean"] + _errors(fine, coarse)["mean"]
 
 
@@ -150,8 +151,7 @@ def degrees(seed: int, smoke: bool) -> Rows:
     for name, costs in {"classes": classes, "classes and barriers": barred}.items():
         seconds, ours = timed(partial(cost_distance, _data_array(costs, *EUROPE, step), points))
         coarse, half, fine = (truths.marched_on_sphere(costs, EUROPE, step, sources, each) for each in finer)
-        truth = 2 * fine - half
-        off = _errors(2 * half - coarse, truth)["mean"]
+        truth, off = 2 * fine - half, _errors(2 * half - coarse, 2 * fine - half)["mean"]
         yield {"raster": name, "cpu_seconds": seconds, **_errors(ours.distance.values, truth), "truth_off": off}
 
 
@@ -237,8 +237,7 @@ def classes(seed: int, smoke: bool) -> Rows:
         seconds, ours = timed(partial(cost_distance, costs, _at(sources)))
         bounded = cost_distance(costs, _at(sources), bounds=True)
         truth, off, of_paths = _over_sides(costs, sources, smoke)
-        place = np.indices(costs.shape)
-        is_far = np.min([np.hypot(place[0] - i, place[1] - j) for i, j in sources], axis=0) > 10
+        is_far = np.all([np.hypot(*(np.indices(costs.shape).T - at).T) > 10 for at in sources], axis=0)
         excess = ours.distance[is_far] / truth[is_far] - 1
         row = {"costs": name, "cpu_seconds": seconds, "mean": float(excess.mean()), "largest": float(excess.max())}
         gap = float((bounded.upper - bounded.lower).mean() / ours.distance.mean())
