@@ -1,5 +1,6 @@
 """Cost distance over a raster: the least accumulated cost between each cell and the nearest of given points."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,8 +15,9 @@ from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
 from plr_jax.rasters.lower_bound import ROUNDING, lower_bound
 from plr_jax.rasters.marching import march
+from plr_jax.rasters.mercator import march_over_degrees
 from plr_jax.rasters.search import PathTree, Points, Raster, Relief, Slope, cells_of, search
-from plr_jax.rasters.search_grid import MOST_LATITUDE, SearchGrid
+from plr_jax.rasters.search_grid import SearchGrid
 from plr_jax.spaces._data_arrays import data_array_box, is_data_array, is_in_degrees, opened, raster_values
 from plr_jax.spaces._raster_cost import nearest_cells
 
@@ -23,6 +25,7 @@ from plr_jax.spaces._raster_cost import nearest_cells
 _FINE_CELLS = 60_000  # smaller rasters are divided into about so many parts: 240 MB
 MOST_CELLS = 1 << 21  # most cells by default: 8 GB
 MOST_ON_REQUEST = 1 << 22  # most cells if the search is needed: for bounds, heights, or squeezing paths: 17 GB
+_MOST_LATITUDE = 85.0  # degrees: parallels shrink to a point at the poles
 _TOLERANCE = 0.01  # of coordinates, as a share of a cell
 _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
@@ -171,13 +174,11 @@ def cost_distance(
     if as_bool("bounds", bounds) and in_degrees:
         raise ValueError("Costs in degrees have no proven bounds, since rows are resampled: project the raster.")
     needs_paths = heights is not None or bounds or as_bool("squeeze", squeeze)
-    grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS, heights is None)
-    num_cells = int(np.isfinite(cost).sum(axis=1)[grid.row_of].sum()) * grid.column_parts
+    grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS)
+    num_cells = int(np.isfinite(cost).sum()) * math.prod(grid.parts)
     if needs_paths and num_cells > MOST_ON_REQUEST:
         most = f"at most {MOST_ON_REQUEST:,} cells, about square, that are no barriers"
         raise ValueError(f"With heights, bounds or squeeze, the raster must have {most}, got {num_cells:,}.")
-    if marches := num_cells > MOST_CELLS and not needs_paths:
-        grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS, False)
     relief = None
     slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
     directed = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
@@ -187,22 +188,21 @@ def cost_distance(
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
         # Barriers get the height of the nearest cell.
         nearest_known = nearest_cells(np.isfinite(height), (box.width / cost.shape[::-1])[::-1])
-        relief = Relief(grid.interpolated(height[nearest_known]), directed, grid.scale)
-    # 3. Distances, nearest sources and bounds at the centers of parts, then of cells.
-    fine, tree = grid.divided(cost), None
-    places = grid.in_plane(points, np.isfinite(fine))
-    if in_degrees:
-        fine = fine * grid.scale[:, None]
-    if marches:
-        results = list(march(fine, grid.side, places, grid.wraps))
-    else:
-        distance, at_corners, nearest, tree = search(
-            fine, grid.side, places, wraps=grid.wraps, squeeze=squeeze, relief=relief
-        )
+        relief = Relief(grid.interpolated(height[nearest_known]), directed)
+    # 3. Distances, nearest sources and bounds at the centers of cells.
+    tree = None
+    if num_cells <= MOST_CELLS or needs_paths:
+        fine, places = grid.divided(cost), grid.in_plane(points)
+        options: Any = {"scale": grid.scale, "wraps": grid.wraps, "squeeze": squeeze, "relief": relief}
+        distance, at_corners, nearest, tree = search(fine, grid.side, places, **options)
         results = [distance, nearest]
-        if bounds and at_corners is not None:
+        if bounds:
             results += [lower_bound(fine, grid.side, places, distance, at_corners), distance * (1 + ROUNDING)]
-    results = [grid.at_centers(table) for table in results]
+        results = [grid.at_centers(table) for table in results]
+    elif in_degrees:
+        results = list(march_over_degrees(cost, box, points))
+    else:
+        results = list(march(cost, box.width / cost.shape[::-1], points - box.lo, wraps=False))
     plr = None
     if max_bytes is not None:
         plr = construct(GridField(results[0], box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
@@ -238,8 +238,8 @@ def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | No
     tolerance = _TOLERANCE * box.width / shape[::-1]
     if box.width[0] > 360 + tolerance[0]:
         raise ValueError(f"Longitudes must span at most 360 degrees, got {box.width[0]:g}: leave out columns.")
-    if (np.abs([box.lo[1], box.hi[1]]) > MOST_LATITUDE + tolerance[1]).any():
-        rows = f"rows between latitudes -{MOST_LATITUDE:g} and {MOST_LATITUDE:g} degrees"
+    if (np.abs([box.lo[1], box.hi[1]]) > _MOST_LATITUDE + tolerance[1]).any():
+        rows = f"rows between latitudes -{_MOST_LATITUDE:g} and {_MOST_LATITUDE:g} degrees"
         got = f"{box.lo[1]:g} to {box.hi[1]:g}"
         raise ValueError(f"A raster in degrees must have {rows}, got {got}: crop it, for example by costs.sel.")
     if box.width[0] > 360 - tolerance[0]:

@@ -17,9 +17,10 @@ Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise, product
 from math import floor, gcd
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Int32
@@ -29,8 +30,9 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
 
-_HALVES = 8  # most half cells of an edge along each axis, without heights
-_REACH = 6  # most cells of an edge along each axis, with heights; also the width of the rim around the raster
+_LENGTH = 9.5  # most half cells of an edge, if cells are square: 88 edges at each corner and center
+_BAND = 1.25  # rows have the same edges if the shapes of their cells differ by less than this factor
+_MOST_BANDS = 16  # cells that are more than about 1.25**16 times as long as wide have the same edges
 _JUMP = 1.25  # costs of neighbors differ by this factor where sides have nodes; errors are the same for 1.1
 UNITS = 6  # places of nodes are counted in units, of which a side of a cell has so many
 _HALF = UNITS // 2
@@ -45,19 +47,18 @@ Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 Cell = tuple[int, int]  # row and column, also of an offset between cells
 Place = tuple[int, int]  # row and column in units; for each kind of nodes, their place in their cell
 CORNER, CENTER = (0, 0), (_HALF, _HALF)
+_NEAR = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])  # see _straight_costs
 _AT_SIDES = {(0, 2), (0, 4), (2, 0), (4, 0)}  # the kinds of nodes at the lower sides of a cell
 AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
 # Stretches of a motion: the share of the motion at which each ends, and the factor of the cost in it.
 Stretches = Sequence[tuple[float, float | np.ndarray]]
 
 
-@dataclass(frozen=True, eq=False)
-class Relief:
+class Relief(NamedTuple):
     """Heights of a raster's cells, and the factor of the cost at each slope (rise over run) toward the sources."""
 
     height: Raster
     slope_fn: Slope
-    run: Float[np.ndarray, " rows"]  # the horizontal length of a unit of the raster, in each row
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +74,13 @@ class PathTree:
     node_of: Int32[np.ndarray, "rows columns"]  # the node in the center of each cell; negative in barriers
     side: Sides  # of a cell
     period: float | None  # width of the raster if its last column meets the first one
+    is_flat: bool  # whether vertices can be left out where paths do not turn
 
     def path(self, row: int, column: int) -> Points:
         """Return the vertices of the path from the center of a cell: both ends, and the points where the path turns.
 
-        If there is no path, the result has no vertices. A path around a raster with a period leaves the raster.
+        With heights, all nodes of the path are vertices. If there is no path, the result has no vertices. A path
+        around a raster with a period leaves the raster.
         """
         # 1. Follow the next nodes up to a source.
         *nodes, last = path_from_root(self.next_node, int(self.node_of[row, column]))[::-1]
@@ -90,7 +93,7 @@ class PathTree:
         path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
         edges = np.diff(path, axis=0)
         edges /= np.linalg.norm(edges, axis=1, keepdims=True)
-        is_turn = (np.abs(np.diff(edges, axis=0)) > _SAME_DIRECTION).any(axis=1)
+        is_turn = (np.abs(np.diff(edges, axis=0)) > _SAME_DIRECTION).any(axis=1) | (not self.is_flat)
         return path[np.r_[True, is_turn, True][: len(path)]]
 
 
@@ -99,125 +102,121 @@ def search(
     side: Sides,
     points: Points,
     *,
+    scale: Float[np.ndarray, " rows"] | None = None,
     wraps: bool = False,
     squeeze: bool = False,
     relief: Relief | None = None,
-) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
+) -> tuple[Raster, AtCorners, Nearest, PathTree]:
     """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
     Args:
         cost: Cost per unit of length in each cell; ``inf`` in barriers.
         side: Width and height of a cell.
         points: Sources, relative to the raster's lower corner, in cells that are no barriers.
+        scale: If given, the length along each row of a unit of the raster, such as the cosine of the latitude.
         wraps: Whether the last column meets the first one.
         squeeze: Whether paths pass between two barriers that touch in a corner.
         relief: If given, the cost at each place is multiplied by the factor of the slope there.
 
     Returns:
-        The costs of paths from the centers of cells; the costs of paths from the corners of cells (None with
-        heights, ``inf`` where a corner is no node); the index of each cell's nearest source (-1 without a path); and
-        the paths.
+        The costs of paths from the centers of cells; the costs of paths from the corners of cells (``inf`` where a
+        corner is no node); the index of each cell's nearest source (-1 without a path); and the paths.
     """
-    # 1. Put a rim around the raster: barriers or, beside the first and the last column of a raster that wraps, the
+    # 1. List the steps of edges, by the shape of cells. Rows of cells of about the same shape are a band.
+    shape = side[0] / side[1] * (np.ones(len(cost)) if scale is None else scale)
+    band = np.clip(np.rint(np.log(shape) / np.log(_BAND)), -_MOST_BANDS, _MOST_BANDS).astype(int)
+    steps = {each: _steps(_BAND**each) for each in np.unique(band).tolist()}
+    longest = max(
+        abs(n) for by_kind in steps.values() for listed in by_kind.values() for step in listed for n in step
+    )
+    # 2. Put a rim around the raster: barriers or, beside the first and the last column of a raster that wraps, the
     #    columns at the other end. A cell has a flat index in the raster with its rim. The corner of two lower sides
     #    of a cell has the cell's flat index.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
     columns = cost.shape[1]
     home = cells_of(points, side, cost.shape)
-    rim = ((_REACH, _REACH), (0, 0)), ((0, 0), (_REACH, _REACH))
+    reach = longest // UNITS + 1
+    rim = ((reach, reach), (0, 0)), ((0, 0), (reach, reach))
     around: Any = {"mode": "wrap"} if wraps else {"constant_values": np.inf}
     cost = np.pad(np.pad(cost, rim[0], constant_values=np.inf), rim[1], **around)
     width = cost.shape[1]
-    inside = np.s_[_REACH:-_REACH, _REACH:-_REACH]
+    inside = np.s_[reach:-reach, reach:-reach]
     flat_cost, is_open = cost.ravel(), np.isfinite(cost)
-    # 2. Number the nodes: centers of open cells and, without heights, their corners, and points of sides between two
-    #    open cells whose costs jump to some neighbor. Paths pass no corner where two barriers touch, unless they
-    #    squeeze through.
-    is_node = {CENTER: is_open}
-    if relief is None:
-        a, b, c, d = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, :-1], is_open[1:, 1:]  # a and b are the lower
-        is_contact = (a == d) & (b == c) & (a != b) & (not squeeze)
-        is_node = {CORNER: np.pad((a | b | c | d) & ~is_contact, ((1, 0), (1, 0))), CENTER: is_open}
-        cross = ndimage.generate_binary_structure(2, 1)
-        most = ndimage.maximum_filter(np.where(is_open, cost, 0.0), footprint=cross)
-        jumps = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
-        is_node |= {kind: jumps & np.roll(jumps, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
+    if scale is not None:
+        scale = np.pad(scale, reach, mode="edge")
+    if relief is not None:
+        height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
+    # 3. Number the nodes: corners and centers of open cells, and points of sides between two open cells whose costs
+    #    jump to some neighbor. Paths pass no corner where two barriers touch, unless they squeeze through.
+    a, b, c, d = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, :-1], is_open[1:, 1:]  # a and b are the lower cells
+    is_contact = (a == d) & (b == c) & (a != b) & (not squeeze)
+    is_node = {CORNER: np.pad((a | b | c | d) & ~is_contact, ((1, 0), (1, 0))), CENTER: is_open}
+    cross = ndimage.generate_binary_structure(2, 1)
+    most = ndimage.maximum_filter(np.where(is_open, cost, 0.0), footprint=cross)
+    jumps = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
+    is_node |= {kind: jumps & np.roll(jumps, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
     nodes, number, num_nodes = {}, {}, 0
     for kind, is_one in is_node.items():
-        last = columns + _REACH + (not wraps and kind[1] == 0)
-        nodes[kind] = np.flatnonzero(is_one & (np.arange(width) >= _REACH) & (np.arange(width) < last))
+        last = columns + reach + (not wraps and kind[1] == 0)
+        nodes[kind] = np.flatnonzero(is_one & (np.arange(width) >= reach) & (np.arange(width) < last))
         numbers = np.full(is_one.shape, -1, np.int32)
         numbers.ravel()[nodes[kind]] = num_nodes + np.arange(len(nodes[kind]))
-        number[kind] = (np.pad(numbers[:, _REACH:-_REACH], rim[1], mode="wrap") if wraps else numbers).ravel()
+        number[kind] = (np.pad(numbers[:, reach:-reach], rim[1], mode="wrap") if wraps else numbers).ravel()
         num_nodes += len(nodes[kind])
-    # 3. List the steps of edges from each kind of nodes, in units.
-    if relief is None:
-        # Counted in half cells, corners have even places and centers odd ones:
-        #
-        #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no
-        #      3      x       x        node if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place,
-        #      2  o       o       o    (i / 2, j / 2), which is no node if i / 2 + j / 2 is odd.
-        #      1      x       x
-        #      0  o       o       o
-        #         0   1   2   3   4
-        #
-        half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
-        passing = ((1, 0), (1, 2), (2, 2))
-        long = [(_HALF * i, _HALF * j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in passing]
-        steps = {kind: [*long] if kind in (CORNER, CENTER) else [] for kind in is_node}
-        # Edges from and to nodes at sides stay in a cell.
-        for (a, b), (y, x) in product(is_node, product(range(-UNITS, UNITS + 1), repeat=2)):
-            end = y % UNITS, x % UNITS
-            is_in_cell = (a == 0 or y >= 0) and (b == 0 or x >= 0) and (y, x) != (a, b)
-            if is_in_cell and end in is_node and {end, (a, b)} & _AT_SIDES:
-                steps[a, b].append((y - a, x - b))
-        # Edges from sources lead to nodes in and beside their cells, at offsets `near` from the centers of cells.
-        near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
-        costs_to_near = _straight_costs(cost, side, points, home, near, squeeze)
-    else:
-        # Sources move to the centers of their cells, at no cost.
-        cell_steps = product(range(-_REACH, _REACH + 1), repeat=2)
-        steps = {CENTER: [(UNITS * i, UNITS * j) for i, j in cell_steps if gcd(i, j) == 1]}
-        near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
-        points = (home[:, ::-1] + 0.5) * side
-        height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
-        run = np.pad(relief.run, _REACH, mode="edge")
 
     def ends_of(step: Place, kind: Place, begin: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
         # The nodes to which a step leads from nodes of a kind in the cells `begin`; negative if it leads to none.
         (row, end_y), (column, end_x) = (divmod(at + along, UNITS) for at, along in zip(kind, step, strict=True))
         return number[end_y, end_x][begin + row * width + column]
 
-    # 4. Compute the edges of all nodes, by node and step, and then those of sources. The cost of an edge is its
-    #    length times the mean cost along it; an infinite cost is no edge.
-    size = sum(len(nodes[kind]) * len(steps[kind]) for kind in nodes)
-    ends, costs = np.empty(size + costs_to_near.size, np.int32), np.empty(size + costs_to_near.size)
+    # 4. Compute the edges of all nodes, in blocks of nodes of a kind in a band, by node and step. The cost of an edge
+    #    is its length times the mean cost along it; an infinite cost is no edge.
+    band = np.pad(band, reach, mode="edge")
+    band_starts = np.flatnonzero(np.diff(band)) + 1
+    blocks = [
+        (kind, steps[int(band[block[0] // width])][kind], block)
+        for kind, of_kind in nodes.items()
+        for in_band in np.split(of_kind, np.searchsorted(of_kind, band_starts * width))
+        for block in batches(in_band, _NODES_AT_ONCE)
+    ]
+    size = len(points) * len(_NEAR) + sum(len(listed) * len(block) for _, listed, block in blocks)
+    ends, costs = np.empty(size, np.int32), np.empty(size)
     num_edges, degrees = 0, []
-    for kind, all_begins in nodes.items():
-        for begin in batches(all_begins, _NODES_AT_ONCE):
-            shape = len(steps[kind]), len(begin)
-            end, cost_of = np.empty(shape, np.int32), np.empty(shape)
-            cost_at = lambda cell: flat_cost[begin + cell[0] * width + cell[1]]  # noqa: B023, E731
-            for k, (i, j) in enumerate(steps[kind]):
-                length = float(np.hypot(*(side[::-1] * (i, j)))) / UNITS
-                stretches: Stretches = [(1.0, 1.0)]
-                if relief is not None:
-                    height_at = lambda cell: height[begin + cell[0] * width + cell[1]]  # noqa: B023, E731
-                    run_at = lambda row: run[begin // width + row]  # noqa: B023, E731
-                    stretches = _slope_factors(i // UNITS, j // UNITS, length, height_at, run_at, relief.slope_fn)
-                end[k] = ends_of((i, j), kind, begin)
-                cost_of[k] = length * mean_along((i, j), kind, cost_at, stretches, squeeze)
-            is_edge = ((end >= 0) & (cost_of < np.inf)).T
-            degrees.append(is_edge.sum(axis=1))
-            table = slice(num_edges, num_edges := num_edges + int(degrees[-1].sum()))
-            ends[table], costs[table] = end.T[is_edge], cost_of.T[is_edge]
-    flat_home = (home + _REACH) @ (width, 1)
+    for kind, listed, block in blocks:
+        end, cost_of = np.empty((len(listed), len(block)), np.int32), np.empty((len(listed), len(block)))
+        values_at = lambda table, cell: table[block + cell[0] * width + cell[1]]  # noqa: B023, E731
+        row = block // width
+        for k, (i, j) in enumerate(listed):
+            length = float(np.hypot(*(side[::-1] * (i, j)))) / UNITS
+            ratio_at, cost_at = (lambda _: 1.0), partial(values_at, flat_cost)
+            if scale is not None:  # in a row, the motion is `ratio` times as long
+                ratio = np.hypot(side[0] * j * scale, side[1] * i) / UNITS / length
+                ratio_at = lambda of: ratio[row + of]  # noqa: B023, E731
+                cost_at = lambda cell: ratio_at(cell[0]) * values_at(flat_cost, cell)  # noqa: B023, E731
+            stretches: Stretches = [(1.0, 1.0)]
+            if relief is not None:
+                run_at = lambda of: length * ratio_at(of)  # noqa: B023, E731
+                stretches = _slope_factors((i, j), kind, run_at, partial(values_at, height), relief.slope_fn)
+            end[k] = ends_of((i, j), kind, block)
+            cost_of[k] = length * mean_along((i, j), kind, cost_at, stretches, squeeze)
+        is_edge = ((end >= 0) & (cost_of < np.inf)).T
+        degrees.append(is_edge.sum(axis=1))
+        table = slice(num_edges, num_edges := num_edges + int(degrees[-1].sum()))
+        ends[table], costs[table] = end.T[is_edge], cost_of.T[is_edge]
+    # 5. Add the edges of sources to the nodes in and beside their cells. With heights, sources move to the centers of
+    #    their cells, at no cost.
+    if relief is None:
+        near, costs_to_near = _NEAR, _straight_costs(cost, side, scale, points, home, reach, squeeze)
+    else:
+        near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
+        points = (home[:, ::-1] + 0.5) * side
+    flat_home = (home + reach) @ (width, 1)
     to_near = np.stack([ends_of((_HALF * i, _HALF * j), CENTER, flat_home) for i, j in near.tolist()], axis=1)
     table = slice(num_edges, num_edges + to_near.size)
     ends[table] = np.maximum(to_near, 0).ravel()
     costs[table] = np.where(to_near < 0, np.inf, costs_to_near).ravel()
     degrees.append(np.full(len(points), len(near)))
-    # 5. Find shortest paths outward from all sources at once.
+    # 6. Find shortest paths outward from all sources at once.
     begins = np.append(0, np.concatenate(degrees).cumsum()).astype(np.int32)  # SciPy copies edges for 64-bit begins
     graph = csr_array((costs[: begins[-1]], ends[: begins[-1]], begins), shape=(len(begins) - 1,) * 2)
     sources = num_nodes + np.arange(len(points))
@@ -229,29 +228,61 @@ def search(
         # Values of all corners or centers, from values of all nodes.
         table = np.full(cost.shape, elsewhere, values.dtype)
         table.ravel()[nodes[kind]] = values[number[kind][nodes[kind]]]
-        return table[inside] if kind == CENTER else table[_REACH : 1 - _REACH, _REACH : 1 - _REACH]
+        return table[inside] if kind == CENTER else table[reach : 1 - reach, reach : 1 - reach]
 
-    place = [UNITS * (np.stack(np.divmod(nodes[kind], width), axis=1) - _REACH) + kind for kind in nodes]
+    place = [UNITS * (np.stack(np.divmod(nodes[kind], width), axis=1) - reach) + kind for kind in nodes]
     node_of = number[CENTER].reshape(cost.shape)[inside]
     period = float(columns * side[0]) if wraps else None
-    tree = PathTree(toward, np.concatenate(place).astype(np.int32), points, node_of, side, period)
-    at_corners = raster_of(CORNER, distance, np.inf) if relief is None else None
-    return raster_of(CENTER, distance, np.inf), at_corners, raster_of(CENTER, nearest_of, -1), tree
+    tree = PathTree(toward, np.concatenate(place).astype(np.int32), points, node_of, side, period, relief is None)
+    at_centers, at_corners = (raster_of(kind, distance, np.inf) for kind in (CENTER, CORNER))
+    return at_centers, at_corners, raster_of(CENTER, nearest_of, -1), tree
+
+
+def _steps(shape: float) -> dict[Place, list[Place]]:
+    """Return the steps of edges from each kind of nodes, in units, for cells ``shape`` times as wide as high."""
+    # 1. Edges between corners and centers have all directions in which they pass no other corner or center, up to a
+    #    length. Counted in half cells, corners have even places and centers odd ones:
+    #
+    #      4  o       o       o    A step (i, j) has two odd or two even numbers, so i + j is even. It passes no
+    #      3      x       x        node if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place,
+    #      2  o       o       o    (i / 2, j / 2), which is no node if i / 2 + j / 2 is odd.
+    #      1      x       x
+    #      0  o       o       o
+    #         0   1   2   3   4
+    #
+    height, width = shape**-0.5, shape**0.5  # of a cell with the area 1
+    most_i, most_j = int(_LENGTH / height), int(_LENGTH / width)
+    halves = [
+        (i, j)
+        for i, j in product(range(-most_i, most_i + 1), range(-most_j, most_j + 1))
+        if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2)) and np.hypot(i * height, j * width) <= _LENGTH
+    ]
+    kinds = {CORNER, CENTER} | _AT_SIDES
+    steps = {kind: [(_HALF * i, _HALF * j) for i, j in halves if kind not in _AT_SIDES] for kind in kinds}
+    # 2. Edges from and to nodes at sides stay in a cell.
+    for (a, b), (y, x) in product(kinds, product(range(-UNITS, UNITS + 1), repeat=2)):
+        end = y % UNITS, x % UNITS
+        is_in_cell = (a == 0 or y >= 0) and (b == 0 or x >= 0) and (y, x) != (a, b)
+        if is_in_cell and end in kinds and {end, (a, b)} & _AT_SIDES:
+            steps[a, b].append((y - a, x - b))
+    return steps
 
 
 def _straight_costs(
     cost: Raster,
     side: Sides,
+    scale: Float[np.ndarray, " rows"] | None,
     points: Points,
     home: Int[np.ndarray, "k 2"],
-    near: Int[np.ndarray, "nodes 2"],
+    reach: int,
     squeeze: bool,
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
-    Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
-    cell. ``home`` has the row and column of this cell. ``cost`` has a rim of ``_REACH`` cells. A motion through a
-    barrier costs ``inf``, as does a motion between two barriers that touch in a corner, unless it may ``squeeze``.
+    Nodes are centers and corners of cells, at the offsets ``_NEAR``, in half cells, from the center of the point's
+    cell. ``home`` has the row and column of this cell. ``cost`` and ``scale`` have a rim of ``reach`` cells. A motion
+    through a barrier costs ``inf``, as does a motion between two barriers that touch in a corner, unless it may
+    ``squeeze``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
@@ -263,25 +294,29 @@ def _straight_costs(
     #      +-------+-------+
     #
     # 1. Find where the motion leaves the row and the column, and the cells.
-    begin = points[:, None, ::-1] / side[::-1]
-    change = home[:, None] + 0.5 + near / 2 - begin
+    begin, home, near = points[:, None, ::-1] / side[::-1], home[:, None], _NEAR
+    change = home + 0.5 + near / 2 - begin
+
+    def cost_in(cells: Int[np.ndarray, "k nodes 2"]) -> Float[np.ndarray, "k nodes"]:
+        # The costs of the motions if they were in these cells.
+        row, column = np.moveaxis(cells + reach, 2, 0)
+        ratio = 1.0 if scale is None else scale[row]
+        return cost[row, column] * np.hypot(change[..., 1] * side[0] * ratio, change[..., 0] * side[1])
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        leaves = np.where(np.abs(near) > 1, (home[:, None] + (near > 0) - begin) / change, 1.0)
+        leaves = np.where(np.abs(near) > 1, (home + (near > 0) - begin) / change, 1.0)
         first, last = leaves.min(axis=2), leaves.max(axis=2)
         beyond = np.sign(near) * (leaves < 1)
-        cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
-        # 2. Average the costs of the cells. Along the border to the previous cell, the cheaper cell counts.
+        cells = home + 0 * beyond, home + beyond * (leaves == first[..., None]), home + beyond
+        # 2. Add the costs in the cells. Along the border to the previous cell, the cheaper cell counts.
         is_along = (change == 0) & (near < 0)
-        cost_1, cost_2, cost_3 = (
-            np.minimum(*(cost[tuple(np.moveaxis(each + _REACH, 2, 0))] for each in (cell, cell - is_along)))
-            for cell in cells
-        )
-        mean = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
+        cost_1, cost_2, cost_3 = (np.minimum(cost_in(each), cost_in(each - is_along)) for each in cells)
+        total = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
         # 3. Where a motion passes a corner, one of the other two cells there must be no barrier. A source in a corner
         #    is a source of all cells there.
-        beside = (cost[tuple(np.moveaxis(home[:, None] + beyond * axis + _REACH, 2, 0))] for axis in ((1, 0), (0, 1)))
+        beside = (cost_in(home + beyond * axis) for axis in ((1, 0), (0, 1)))
         is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside)) & (not squeeze)
-    return np.where(np.isnan(mean) | is_contact, np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+    return np.where(np.isnan(total) | is_contact, np.inf, total)
 
 
 def mean_along(
@@ -323,25 +358,31 @@ def mean_along(
 
 
 def _slope_factors(
-    i: int, j: int, length: float, height_at: AtOffset, run_at: Callable[[int], np.ndarray], slope_fn: Slope
+    step: Place, kind: Place, run_at: Callable[[int], Any], height_at: AtOffset, slope_fn: Slope
 ) -> Stretches:
-    """Return the stretches of a motion from each of many cells to the cell at offset ``(i, j)``, by slope.
+    """Return the stretches of a motion by ``step`` from nodes of a ``kind`` in many cells, by slope.
 
-    The motion is cut where it crosses a row or a column of centers. Heights are linear along rows and columns of
-    centers, and along each stretch. ``length`` is the length of the motion; ``height_at`` returns the heights at an
-    offset from all cells, and ``run_at`` the horizontal length of a unit of the raster in a row at an offset.
+    The motion is cut where it crosses a row or a column of centers. Heights are bilinear at its ends and where it is
+    cut, and linear along each stretch. ``height_at`` returns the heights of the cells at an offset from the cells in
+    which the motions begin, and ``run_at`` the motion's length if it were in a row at an offset.
     """
-    shares = sorted({Fraction(k, abs(n)) for n in (i, j) for k in range(abs(n) + 1) if n})
+    (y, x), (i, j) = kind, step
+    crossed = {
+        Fraction(m - at, n)
+        for at, n in ((y, i), (x, j))
+        for m in range(*sorted((at, at + n)))
+        if (m - _HALF) % UNITS == 0 and m != at
+    }
+    shares = sorted({Fraction(0), Fraction(1)} | crossed)
     heights = []
     for share in shares:
-        # The place of a crossing is whole along one axis. Along the other axis it is between two cells.
-        (row, rest_row), (column, rest_column) = divmod(i * share, 1), divmod(j * share, 1)
-        beyond, rest = (row + (rest_row > 0), column + (rest_column > 0)), float(max(rest_row, rest_column))
-        heights.append((1 - rest) * height_at((row, column)) + rest * height_at(beyond))
+        (row, up), (column, right) = (divmod((at + n * share - _HALF) / UNITS, 1) for at, n in ((y, i), (x, j)))
+        corners = product(((row, 1 - up), (row + 1, up)), ((column, 1 - right), (column + 1, right)))
+        heights.append(sum(float(a * b) * height_at((r, c)) for (r, a), (c, b) in corners if a * b))
     stretches = []
     for (a, b), (low, high) in zip(pairwise(shares), pairwise(heights), strict=True):
         # The slope toward the sources: the motion leads from the sources.
-        slope = (low - high) / (float(b - a) * length * run_at(round(i * (a + b) / 2)))
+        slope = (low - high) / (float(b - a) * run_at(floor((y + i * (a + b) / 2) / UNITS)))
         factor = as_numbers("slope_cost's answer", slope_fn(slope), "numbers")
         if factor.shape not in ((), slope.shape) or not (factor > 0).all():
             expected = f"slope_cost must return positive numbers of shape {slope.shape}"

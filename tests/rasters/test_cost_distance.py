@@ -176,17 +176,20 @@ def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp
         read.close()
 
 
-def cost_along(path, costs, side=(1, 1), heights=None, slope_cost=None):
+def cost_along(path, costs, side=(1, 1), heights=None, slope_cost=None, parts=(1, 1)):
     """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two.
 
-    Heights are bilinear where the polyline crosses a row or a column of centers, and linear between these places.
+    Heights are bilinear at vertices and where the polyline crosses a row or a column of centers of the cells' parts.
+    Between these places, heights are linear.
     """
     total = 0.0
     for begin, end in pairwise(path / side):
         change, length = end - begin, np.linalg.norm((end - begin) * side)
         borders, lines = (
-            np.concatenate([(np.arange(-1, 99) + half - b) / c for b, c in zip(begin, change, strict=True) if c])
-            for half in (0, 0.5)
+            np.concatenate(
+                [((np.arange(999) + h) / n - b) / c for n, b, c in zip(parts[::-1], begin, change, strict=True) if c]
+            )
+            for h in (0, 0.5)
         )
         cuts, lines = (np.unique(np.clip(np.append(each, (0, 1)).round(12), 0, 1)) for each in (borders, lines))
         cuts = np.union1d(cuts, lines)
@@ -223,14 +226,15 @@ def test_cost_along_path_is_the_distance_on_every_raster(data):
     heights = data.draw(st.none() | arrays(float, shape, elements=st.integers(0, 12).map(float)))
     side = data.draw(st.sampled_from([(1, 1), (2, 0.5)]))
     squeeze, from_sources = data.draw(st.booleans()), data.draw(st.booleans())
-    options = {"heights": heights, "slope_cost": asymmetric, "cell_size": side}
-    result = cost_distance(
-        costs, [np.multiply(side, (0.3, 0.6))], squeeze=squeeze, from_sources=from_sources, **options
-    )
+    num_parts = data.draw(st.sampled_from([1, 1_000]))
+    options = {"heights": heights, "slope_cost": asymmetric, "squeeze": squeeze, "from_sources": from_sources}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_cost_distance, "_FINE_CELLS", num_parts)
+        result = cost_distance(costs, [np.multiply(side, (0.3, 0.6))], cell_size=side, **options)
     for i, j in np.argwhere(np.isfinite(result.distance)).tolist():
         path = result.path(np.array((j + 0.5, i + 0.5)) * side)
         path = path[::-1] if from_sources else path
-        along = cost_along(path, costs, side, heights, asymmetric)
+        along = cost_along(path, costs, side, heights, asymmetric, result._grid.parts)
         np.testing.assert_allclose(along, result.distance[i, j], rtol=1e-9, atol=1e-12)
 
 
@@ -324,7 +328,7 @@ TWO, FIRST = [[1, 1.0]], [(0.5, 0.5)]  # costs of two cells, and the center of t
         (TWO, FIRST, {"heights": TWO, "slope_cost": "hill"}, "or a function"),
         (TWO, FIRST, {"heights": TWO, "bounds": True}, "without bounds"),
         (TWO, FIRST, {"heights": TWO, "slope_cost": np.zeros_like}, "positive numbers of shape .*, got array"),
-        (TWO, FIRST, {"heights": TWO, "slope_cost": lambda x: [1, 2, 3]}, r"shape \(2,\), got array"),
+        (TWO, FIRST, {"heights": TWO, "slope_cost": lambda x: [1, 2, 3]}, r"shape \(\d+,\), got array"),
     ],
 )
 def test_invalid_arguments_raise(costs, sources, options, message):
