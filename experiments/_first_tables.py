@@ -46,6 +46,45 @@ def cost_distance(
     )
 
 
+def rasters(slopes: dict[str, Any], degrees: dict[str, Any], rivals: dict[str, Any], classes: dict[str, Any]) -> str:
+    """Return errors of cost distances beside independent truths: slopes, degrees, other tools, land classes."""
+    hike, globe, land = (part["rows"] for part in (slopes, degrees, classes))
+    circles, mapped = ([row for row in globe if ("largest_far" in row) == is_circle] for is_circle in (True, False))
+    table = formatted(
+        rivals["rows"],
+        *(("raster", "{raster}"), ("tool", "{tool}"), ("mean error", "{mean:.2%}"), ("largest", "{largest:.1%}")),
+        *(("CPU s", "{cpu_seconds:.2f}"), ("truth off by", "{truth_off:.2%}")),
+        words=2,
+    )
+    of_slopes = formatted(
+        hike,
+        *(("relief", "{relief}"), ("costs", "{costs}"), ("mean error", "{mean:.2%}"), ("largest", "{largest:.1%}")),
+        *(("CPU s", "{cpu_seconds:.2f}"), ("truth off by", "{truth_off:.2%}"), ("path's cost off by", "{path:.0e}")),
+        words=2,
+    )
+    of_classes = formatted(
+        land,
+        *(("costs", "{costs}"), ("mean excess", "{mean:.2%}"), ("largest", "{largest:.1%}")),
+        *(("gap of bounds", "{gap:.1%}"), ("truth off by", "{truth_off:.2%}")),
+        words=1,
+    )
+    of_circles = [
+        f"{row['mean']:.2%} on average, and {row['largest_far']:.1%} at most beyond 20 cells, at {row['raster']}"
+        for row in circles
+    ]
+    of_maps = [
+        f"{row['mean']:.2%} and {row['largest']:.1%} with {row['raster']} (truth off by {row['truth_off']:.2%})"
+        for row in mapped
+    ]
+    notes = (
+        "\nErrors are shares of the mean distance; for land classes, of each distance beyond 10 cells. Truths are "
+        'graphs of finer nodes; "truth off by": what half as many nodes, or shorter edges, change. In degrees, '
+        f"distances differ from great circles by {' and '.join(of_circles)}; from a march over Mercator's map by "
+        f"{' and '.join(of_maps)}.\n"
+    )
+    return f"{table}\nSlopes, by Tobler's function:\n\n{of_slopes}\nLand classes:\n\n{of_classes}{notes}"
+
+
 def small_costs(certified: dict[str, Any], alone: dict[str, Any], pairs: dict[str, Any]) -> str:
     """Return the CPU time of proofs, of single exact queries and of pairs on large maps."""
     rows = [["what", "map", "CPU"]]

@@ -7,8 +7,9 @@ References: Lanthier, Maheshwari, Sack, "Approximating shortest paths on weighte
 """
 
 from collections.abc import Callable, Iterator
-from itertools import combinations, pairwise
-from math import gcd
+from itertools import combinations, pairwise, product
+from math import dist, gcd
+from typing import Any
 
 import numpy as np
 import skfmm
@@ -19,7 +20,8 @@ from scipy.sparse.csgraph import dijkstra
 
 RADIUS = 6_371_008.8  # of the earth, in meters
 Raster = Float[np.ndarray, "rows columns"]
-Cell = tuple[int, int]
+Cell = tuple[int, int]  # row and column
+Pair = tuple[float, float]  # x and y, or longitude and latitude
 Factor = Callable[[np.ndarray], np.ndarray]
 
 
@@ -33,46 +35,32 @@ def over_sides(costs: Raster, sources: list[Cell], points: int) -> Raster:
     place = np.arange(rows * points + 1)[:, None] % points * (np.arange(columns * points + 1) % points) == 0
     number = np.where(place, place.ravel().cumsum().reshape(place.shape) - 1, -1)
     centers = place.sum() + np.arange(costs.size).reshape(costs.shape)
-    ring = [(a, b) for a in range(points + 1) for b in range(points + 1) if a in (0, points) or b in (0, points)]
-    ring_nodes = {(a, b): number[a::points, b::points][:rows, :columns] for a, b in ring}
-
-    def is_inside(p: Cell, q: Cell) -> bool:  # whether a pair of nodes has no side in common
-        return not any(a == b and a in (0, points) for a, b in zip(p, q, strict=True))
-
-    pairs = [(p, q) for p, q in combinations(ring, 2) if is_inside(p, q)]
-    edges = [(ring_nodes[p], ring_nodes[q], costs * np.hypot(p[0] - q[0], p[1] - q[1])) for p, q in pairs]
-    edges += [(centers, ring_nodes[p], costs * np.hypot(p[0] - points / 2, p[1] - points / 2)) for p in ring]
+    lines = {*product((0, 1), (0, points))}  # those of a cell's sides: axis and place
+    ring = [p for p in product(range(points + 1), repeat=2) if lines & {*enumerate(p)}]
+    nodes: dict[Any, Any] = {p: number[p[0] :: points, p[1] :: points][:rows, :columns] for p in ring}
+    nodes[points / 2, points / 2] = centers
+    ways = [(p, q) for p, q in combinations(nodes, 2) if not lines & {*enumerate(p)} & {*enumerate(q)}]
+    edges = [(nodes[p], nodes[q], costs * dist(p, q)) for p, q in ways]
     padded = np.pad(costs, 1, constant_values=np.inf)
     across = np.minimum(padded[:-1], padded[1:])[:, 1:-1].repeat(points, axis=1)  # the cheaper cell counts
     along = np.minimum(padded[:, :-1], padded[:, 1:])[1:-1].repeat(points, axis=0)
-    edges += [
-        (number[::points, :-1], number[::points, 1:], across),
-        (number[:-1, ::points], number[1:, ::points], along),
-    ]
+    edges.append((number[::points, :-1], number[::points, 1:], across))
+    edges.append((number[:-1, ::points], number[1:, ::points], along))
     begin, end = (np.concatenate([edge[k].ravel() for edge in edges]).astype(np.int32) for k in (0, 1))
     cost = np.concatenate([edge[2].ravel() for edge in edges]) / points
     graph = coo_array((cost, (begin, end)), shape=(centers.max() + 1,) * 2).tocsr()
-    starts = [centers[source] for source in sources]
-    return dijkstra(graph, directed=False, indices=starts, min_only=True)[centers]
+    return dijkstra(graph, directed=False, indices=[centers[at] for at in sources], min_only=True)[centers]
 
 
 def over_lattice(
-    costs: Raster,
-    heights: Raster,
-    side: tuple[float, float],
-    source: Cell,
-    factor: Factor,
-    reach: int,
-    finer: int = 4,
-    from_source: bool = False,
+    costs: Raster, heights: Raster, side: Pair, source: Cell, factor: Factor, reach: int, finer: int
 ) -> Raster:
     """Return costs of shortest paths over a lattice of ``finer`` nodes a cell, with edges up to ``reach`` nodes long.
 
-    The cost of an edge is the integral along it of the cost times ``factor(slope)``: summed over pieces that lie in
-    one square of the lattice each, where costs are constant.
+    The cost of an edge is the integral along it, toward the source, of the cost times ``factor(slope)``.
     """
     shape = [count * finer + 1 for count in costs.shape]
-    steps = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1) if gcd(i, j) == 1]
+    steps = [(i, j) for i, j in product(range(-reach, reach + 1), repeat=2) if gcd(i, j) == 1]
     number = np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape)
     ends, weights = (np.empty((*shape, len(steps)), kind) for kind in (np.int32, float))
     padded = np.pad(costs, reach, constant_values=np.inf)
@@ -83,12 +71,9 @@ def over_lattice(
         total, before = 0.0, _bilinear(heights, y / finer - 0.5, x / finer - 0.5)
         for a, b in pairwise(cuts):
             after = _bilinear(heights, (y + b * i) / finer - 0.5, (x + b * j) / finer - 0.5)
-            slope = (after - before) / ((b - a) * length) * (1 if from_source else -1)
-            middle = (y + (a + b) / 2 * i) / finer, (x + (a + b) / 2 * j) / finer
-            # On the side of two cells, rounding up and down gives different cells, and the cheaper one counts.
-            low, high = ([np.floor(at + off).astype(int) + reach for at in middle] for off in (-1e-6, 1e-6))
-            total = total + (b - a) * np.minimum(padded[np.ix_(*low)], padded[np.ix_(*high)]) * factor(slope)
-            before = after
+            slope = (before - after) / ((b - a) * length)
+            middle = (y[:, None] + (a + b) / 2 * i) / finer, (x + (a + b) / 2 * j) / finer
+            total, before = total + (b - a) * _cost_at(padded, reach, *middle) * factor(slope), after
         weights[..., k] = length * total
         ends[..., k] = number[np.ix_(np.clip(y + i, 0, shape[0] - 1), np.clip(x + j, 0, shape[1] - 1))]
     begins = np.arange(number.size + 1) * len(steps)
@@ -98,36 +83,36 @@ def over_lattice(
     return distance[finer // 2 :: finer, finer // 2 :: finer]
 
 
+def _cost_at(padded: Raster, rim: int, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    # Costs of cells at (y, x). On the side of two cells, rounding up and down gives both, and the cheaper one counts.
+    low, high = (padded[tuple(np.floor(at + off).astype(int) + rim for at in (y, x))] for off in (-1e-6, 1e-6))
+    return np.minimum(low, high)
+
+
 def _bilinear(heights: Raster, y: np.ndarray, x: np.ndarray) -> Raster:
     # Heights at all (y, x), in cells from the center of the first cell; beyond the centers, the nearest height.
-    for values in (y, x):
-        count = heights.shape[0]
-        low = np.clip(np.floor(values).astype(int), 0, max(count - 2, 0))
-        share = np.clip(values - low, 0, 1)[:, None]
-        heights = ((1 - share) * heights[low] + share * heights[np.minimum(low + 1, count - 1)]).T
-    return heights
+    shares = [
+        np.maximum(1 - np.abs(np.clip(values, 0, count - 1)[:, None] - np.arange(count)), 0)
+        for values, count in zip((y, x), heights.shape, strict=True)
+    ]
+    return shares[0] @ heights @ shares[1].T
 
 
-def cost_of_path(
-    path: Float[np.ndarray, "n 2"], costs: Raster, heights: Raster, side: tuple[float, float], factor: Factor
-) -> float:
+def cost_of_path(path: Float[np.ndarray, "n 2"], costs: Raster, heights: Raster, side: Pair, factor: Factor) -> float:
     """Return the integral of cost times ``factor(slope)`` along a path of vertices ``(x, y)``.
 
     Costs are those of cells. Heights are linear between crossings of rows and columns of cells' centers.
     """
-    total = 0.0
+    total, padded = 0.0, np.pad(costs, 1, constant_values=np.inf)
     for begin, end in pairwise(path / side):
         length = np.linalg.norm((end - begin) * side)
         halves = np.unique(np.concatenate([[0.0, 1.0], *_crossings(2 * begin, 2 * end)]))
         middles = np.unique(np.concatenate([[0.0, 1.0], *_crossings(begin - 0.5, end - 0.5)]))
-        at_middles = [_bilinear(heights, *(begin + t * (end - begin))[::-1, None] - 0.5).item() for t in middles]
+        places = begin + middles[:, None] * (end - begin) - 0.5
+        at_middles = ndimage.map_coordinates(heights, places.T[::-1], order=1, mode="nearest")
         slope = np.diff(np.interp(halves, middles, at_middles)) / (np.diff(halves) * length)
         inside = begin + (halves[:-1, None] + halves[1:, None]) / 2 * (end - begin)
-        low, high = (
-            costs[tuple(np.clip(np.floor(inside + off).astype(int).T[::-1], 0, np.array(costs.shape)[:, None] - 1))]
-            for off in (-1e-6, 1e-6)
-        )
-        total += np.sum(np.diff(halves) * length * np.minimum(low, high) * factor(slope))
+        total += np.sum(np.diff(halves) * length * _cost_at(padded, 1, *inside.T[::-1]) * factor(slope))
     return float(total)
 
 
@@ -139,16 +124,14 @@ def _crossings(begin: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
             yield share[(share > 1e-9) & (share < 1 - 1e-9)]
 
 
-def great_circle(longitude: np.ndarray, latitude: np.ndarray, source: tuple[float, float]) -> np.ndarray:
+def great_circle(longitude: np.ndarray, latitude: np.ndarray, source: Pair) -> np.ndarray:
     """Return the lengths, in meters, of great circles to a source ``(longitude, latitude)``, all in degrees."""
     x, y, x0, y0 = (np.radians(each) for each in (longitude, latitude, *source))
     haversine = np.sin((y - y0) / 2) ** 2 + np.cos(y) * np.cos(y0) * np.sin((x - x0) / 2) ** 2
     return 2 * RADIUS * np.arcsin(np.minimum(np.sqrt(haversine), 1))
 
 
-def marched_on_sphere(
-    costs: Raster, origin: tuple[float, float], step: float, sources: list[Cell], finer: int
-) -> Raster:
+def marched_on_sphere(costs: Raster, origin: Pair, step: float, sources: list[Cell], finer: int) -> Raster:
     """Return costs of paths on a sphere by a march over Mercator's map, with ``finer`` nodes a cell along parallels.
 
     The raster's first corner is ``origin``, longitude and latitude; its cells are ``step`` degrees wide and high. At

@@ -111,6 +111,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
         first.cost_distance,
         *(f"cost_distance.{part}" for part in ("errors", "bounds", "mountain", "large")),
     ),
+    "rasters": (first.rasters, *(f"rasters.{part}" for part in ("slopes", "degrees", "rivals", "classes"))),
     "summaries": (distances.summaries, "compare_summaries"),
     "pair_bounds": (distances.pair_bounds, "pair_bounds"),
     "fleets": (distances.fleets, "fleets"),

@@ -24,8 +24,6 @@ from .buildings import Link as Link
 from .buildings import NumpyBuildingPLR as NumpyBuildingPLR
 from .buildings import Route as Route
 from .buildings import load_numpy as load_numpy
-from .rasters import CostDistance as CostDistance
-from .rasters import cost_distance as cost_distance
 from .eikonal import solve_eikonal as solve_eikonal
 from .geometry.box import Box as Box
 from .geometry.workspace import Workspace as Workspace
@@ -81,6 +79,8 @@ from .plr import least_squares as least_squares
 from .plr import maximum_depth as maximum_depth
 from .plr import stack as stack
 from .plr import trace as trace
+from .rasters import CostDistance as CostDistance
+from .rasters import cost_distance as cost_distance
 from .robots import DiscRobot as DiscRobot
 from .robots import PointRobot as PointRobot
 from .robots import PolygonRobot as PolygonRobot

@@ -13,13 +13,14 @@ from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import reduce
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt64
 
 from plr_jax._types import ArrayLike
 
+IndexPairs: TypeAlias = tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
 _LONGEST = 200  # most characters of a value in an error
@@ -86,9 +87,7 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     return numbers
 
 
-def as_cells(
-    expected: str, value: ArrayLike, fits: Callable[[tuple[int, ...]], bool], hint: str = ""
-) -> Bool[np.ndarray, "..."]:
+def as_cells(expected: str, value: ArrayLike, fits: Callable[..., bool], hint: str = "") -> Bool[np.ndarray, "..."]:
     """Check an array of booleans without masked entries, one for each cell of a grid; return a copy in C order.
 
     ``fits`` returns whether a shape of the array is valid. ``expected`` begins every error message. ``hint`` ends the
@@ -252,7 +251,7 @@ def as_bool(name: str, value: object) -> bool:
     return bool(value)
 
 
-def ragged_indices(counts: Int[np.ndarray, " runs"]) -> tuple[Int[np.ndarray, " items"], Int[np.ndarray, " items"]]:
+def ragged_indices(counts: Int[np.ndarray, " runs"]) -> IndexPairs:
     """Return, for each item of consecutive runs, the index of its run, and the item's index within this run.
 
     Run ``i`` has ``counts[i]`` items.
@@ -304,9 +303,7 @@ def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " 
     return np.where(values[place] == wanted, place, -1)
 
 
-def take_ragged(
-    first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " chosen"]
-) -> tuple[Int[np.ndarray, " members"], Int[np.ndarray, " members"]]:
+def take_ragged(first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " chosen"]) -> IndexPairs:
     """Return the indices of all items of some runs, and for each item the position of its run in ``runs``.
 
     ``runs`` are indices of runs. Run ``i`` has the items from ``first[i]`` up to, not including, ``first[i + 1]``.

@@ -12,17 +12,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import (
-    as_distances,
-    as_finite_point,
-    as_numbers,
-    as_offsets,
-    as_points,
-    require_function,
-    shortened,
-)
+from plr_jax import _arrays
 from plr_jax._lookahead import Chains, Field, Next, PathCosts, by_lookahead, chains_of
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Distances
+from plr_jax.geometry.boundary import Edges, Indices
 from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, first_visible_in_parts, path_ends
 from plr_jax.geometry.vectors import distances_between
@@ -121,7 +114,7 @@ def descend(
 
     References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """
-    require_function("distance_fn", distance_fn)
+    _arrays.require_function("distance_fn", distance_fn)
     if isinstance(space, Workspace) and cost_map is None:
         chains = _along_corners(distance_fn, space, starts, goal, offsets)
     else:
@@ -130,9 +123,10 @@ def descend(
         space = PlaneSpace(space) if isinstance(space, Workspace) else space
         require_space(space)
         if not isinstance(space, ConfigurationSpace):
-            raise ValueError(f"space must have classify and are_free to prove motions free, got {shortened(space)}.")
+            expected = "classify and are_free to prove motions free"
+            raise ValueError(f"space must have {expected}, got {_arrays.shortened(space)}.")
         if cost_map is not None and not isinstance(cost_map, CostMap):
-            raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
+            raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {_arrays.shortened(cost_map)}.")
         chains = by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
     vertices, counts, lengths, costs, is_free = chains
     reached = counts > 0
@@ -153,10 +147,12 @@ def _along_corners(
     Return the vertices of the paths, their numbers of vertices (0: no path), lengths, costs (lengths plus the offset
     of the goal), and whether each start is free.
     """
-    # 1. Check the arguments, and evaluate the field at all *places*: the goals, then the corners.
-    starts = as_points("starts", workspace.settled(starts), 2)
-    goal = as_numbers("goal", workspace.settled(goal), "numbers of shape (2,) or (k, 2)")
-    goals = as_points("goal", goal, 2) if goal.ndim == 2 else as_finite_point("The goal", goal, 2)[None]
+    # 1. Check the arguments, and evaluate the field at all *places*: the goals, then the corners. The function gets a
+    #    copy of the places, as it may modify its argument.
+    starts = _arrays.as_points("starts", workspace.settled(starts), 2)
+    goal = _arrays.as_numbers("goal", workspace.settled(goal), "numbers of shape (2,) or (k, 2)")
+    goal = goal if goal.ndim == 2 else _arrays.as_finite_point("The goal", goal, 2)[None]
+    goals = _arrays.as_points("goal", goal, 2)
     if not len(goals):
         raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
     if not (is_fine := workspace.is_free(goals)).all():
@@ -164,14 +160,13 @@ def _along_corners(
         raise ValueError(f"The goal must be in free space, got {got}.")
     places = find_corners(workspace)[0].without(goals).with_points(goals)
     num_goals, points = len(goals), places.points
-    field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
-    field[:num_goals] = offsets = as_offsets(offsets, num_goals)
+    field = _arrays.as_distances("The field", field_fn(points.copy()), points)
+    field[:num_goals] = offsets = _arrays.as_offsets(offsets, num_goals)
     end = Arcs(np.full(num_goals, len(points)), np.arange(num_goals), offsets)  # to the goals from a place after all
 
-    def shortest(edges: Int[np.ndarray, "edges 2"]) -> tuple[Float[np.ndarray, "places"], Next]:
-        length, onward = dijkstra(
-            Graph(np.append(points, points[:1], axis=0), edges, arcs=end).adjacency, len(points)
-        )
+    def shortest(edges: Edges) -> tuple[Float[np.ndarray, "places"], Next]:
+        graph = Graph(np.append(points, points[:1], axis=0), edges, arcs=end)
+        length, onward = dijkstra(graph.adjacency, len(points))
         # The next place of a goal is the goal, unless another goal costs less from there. Places without a path point
         # to goal 0, so that indexing works; their length is inf, so no path uses them.
         onward[:num_goals] = np.where(onward[:num_goals] == len(points), np.arange(num_goals), onward[:num_goals])
@@ -231,13 +226,7 @@ def _along_corners(
     return vertices, counts, lengths, lengths + offsets[path_ends(onward)[np.maximum(first, 0)]], is_free
 
 
-def _edges(
-    workspace: Workspace,
-    places: ReflexCorners,
-    field: Float[np.ndarray, " places"],
-    corners: Int[np.ndarray, " corners"],
-    count: int,
-) -> Int[np.ndarray, "edges 2"]:
+def _edges(workspace: Workspace, places: ReflexCorners, field: Distances, corners: Indices, count: int) -> Edges:
     """Join each corner to the ``count`` visible places of least distance plus cost-to-go; return the edges.
 
     Places are goals and corners; ``field`` is the cost-to-go of each. ``corners`` are indices in ``places``. Each
@@ -261,5 +250,5 @@ def _edges(
     return _unique_pairs(np.stack([corners[row], ways[row, column]], axis=1))
 
 
-def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
+def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Edges:
     return np.unique(np.sort(pairs, axis=1), axis=0)

@@ -10,8 +10,7 @@ shifted to where the two adjacent segments cost least.
 import heapq
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,15 +25,14 @@ from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds,
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays may have different lengths
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
+Vertices: TypeAlias = Float[np.ndarray, "n longest dim"]
 Counts: TypeAlias = Int[np.ndarray, " n"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 # Paths of `n` starts: vertices, numbers of vertices, lengths, costs, and whether each start is free (see `Descent`).
-Chains: TypeAlias = tuple[Float[np.ndarray, "n longest dim"], Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
+Chains: TypeAlias = tuple[Vertices, Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
 
 
-def chains_of(
-    starts: Nodes, nodes: Nodes, onward: Next, first: Int[np.ndarray, " starts"], num_goals: int = 1
-) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, " starts"]]:
+def chains_of(starts: Nodes, nodes: Nodes, onward: Next, first: Next, num_goals: int = 1) -> tuple[Vertices, Counts]:
     """Return the vertices of one path per start, and the number of vertices of each path.
 
     Path ``i`` leads from ``starts[i]`` to the node ``first[i]``, then from each node to the node ``onward[node]``,
@@ -104,8 +102,7 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
     return np.concatenate(changes)
 
 
-@dataclass(frozen=True, eq=False)
-class PathCosts:
+class PathCosts(NamedTuple):
     """The costs of straight motions in a configuration space, with or without a cost map."""
 
     space: ConfigurationSpace

@@ -14,6 +14,7 @@ from plr_jax.geometry.workspace import Workspace, part_groups, require_workspace
 from plr_jax.robots import Configurations, Robot, check_body, footprint, smaller_angle
 
 JointPath: TypeAlias = Float[np.ndarray, "steps robots dof"]
+ROUNDING = 1e-9  # costs count as equal if their relative difference is smaller; rounding changes them far less
 _VERBS = {"starts": "starts", "goals": "has its goal"}
 
 

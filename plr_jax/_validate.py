@@ -22,7 +22,7 @@ from plr_jax._arrays import is_single
 from plr_jax._problem import JointPath, Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups
-from plr_jax.robots import Robot, between, shorter_turn
+from plr_jax.robots import Robot, between, footprint, placed, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 _SLACK = 1e-3  # share of the distance by which a point may be outside of free space: less than any wall is thick
@@ -117,7 +117,7 @@ class _Encounter:
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return the distance between the two objects at times ``when``, in steps; negative if they overlap."""
-        bodies, others = _bodies(self.robot, _at(self.path, when)), self._others(when)
+        bodies, others = footprint(self.robot, _at(self.path, when)), self._others(when)
         distance = np.asarray(shapely.distance(bodies, others))
         met = np.flatnonzero(distance == 0)
         distance[met] = [separation(*pair) for pair in zip(bodies[met], others[met], strict=True)]
@@ -129,7 +129,7 @@ class _Encounter:
     def _others(self, when: Float[np.ndarray, " n"]) -> Any:
         if self.other_path is None:
             return np.full(len(when), self.other)
-        return _bodies(self.other, _at(self.other_path, when))
+        return footprint(self.other, _at(self.other_path, when))
 
     def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, " n"]:
         # Return which overlaps are deeper than the tolerance: those that meet the body eroded by the tolerance. An
@@ -139,7 +139,7 @@ class _Encounter:
     def swept(self, motion: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         # Return the smallest clearance in motions without turns. The robot sweeps the convex hull of its bodies at
         # both ends of the motion. If there is another robot, the motion is taken relative to that robot.
-        start = _corners(self.robot, self.path[motion])
+        start = placed(self.robot, self.robot.core, self.path[motion])
         corners = np.concatenate([start, start + self.velocity[motion, None]], axis=1)
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         others = self._others(motion.astype(float))
@@ -276,20 +276,6 @@ def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(turn)
 
 
-def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
-    x, y = robot.core.T
-    heading = q[:, 2:] if robot.dof == 3 else np.zeros((len(q), 1))
-    c, s = np.cos(heading), np.sin(heading)
-    return q[:, None, :2] + np.stack([c * x - s * y, s * x + c * y], axis=2)
-
-
-def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
-    corners = _corners(robot, q)
-    if len(robot.core) == 1:
-        return shapely.points(corners[:, 0])
-    return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
-
-
 def _find_crossing(problem: Problem, path: JointPath, margin: float) -> tuple[int, float, str] | None:
     """Find the first motion in which a point robot crosses a wall, or a contact (a point where obstacles touch).
 
@@ -367,7 +353,7 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
     x, y = q[0, :2].tolist()
     event = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
     if collision.other_path is None:
-        body, obstacles = _bodies(collision.robot, q)[0], np.array(workspace.obstacles, dtype=object)
+        body, obstacles = footprint(collision.robot, q)[0], np.array(workspace.obstacles, dtype=object)
         # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
         distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
         bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)

@@ -18,6 +18,7 @@ _MOST_VERTICES = 1_000
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, front left first
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
+Points: TypeAlias = Float[np.ndarray, "n 2"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
 Moments: TypeAlias = Float[np.ndarray, " n"]
 
@@ -124,9 +125,7 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
     return 2 * np.pi * np.abs(turns - np.rint(turns))
 
 
-def between(
-    q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
-) -> Float[np.ndarray, "*batch dof"]:
+def between(q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]) -> Configurations:
     """Return the configurations at fractions ``t``, from 0 to 1, of straight motions from ``q0`` to ``q1``.
 
     Headings turn the shorter way.
@@ -151,18 +150,20 @@ def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows
     return row, after, np.divide(spent, length, out=np.ones_like(spent), where=length > 0)
 
 
-def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "n 2"]:
-    """Return the workspace positions of points that are given in the frame of a robot at configuration ``q``."""
-    if robot.dof == 2:
-        return q[:2] + points
-    cos, sin = np.cos(q[2]), np.sin(q[2])
-    return q[:2] + points @ np.array([[cos, sin], [-sin, cos]])
+def placed(robot: Robot, points: Points, q: Float[np.ndarray, "*batch dof"]) -> Float[np.ndarray, "*batch n 2"]:
+    """Return the workspace positions of points, given in the frame of a robot, at each configuration of ``q``."""
+    x, y = points.T
+    heading = q[..., 2:] if robot.dof == 3 else np.zeros((*q.shape[:-1], 1))
+    c, s = np.cos(heading), np.sin(heading)
+    return q[..., None, :2] + np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
-def footprint(robot: Robot, q: Float[np.ndarray, " dof"]) -> Any:
-    """Return the core of a robot at configuration ``q`` as a Shapely geometry, not widened by ``robot.rounding``."""
+def footprint(robot: Robot, q: Float[np.ndarray, "*batch dof"]) -> Any:
+    """Return a robot's core at each configuration of ``q`` as Shapely geometries, without its ``rounding``."""
     corners = placed(robot, robot.core, q)
-    return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)
+    if len(robot.core) == 1:
+        return shapely.points(corners[..., 0, :])
+    return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
 @dataclass(frozen=True, eq=False, init=False)

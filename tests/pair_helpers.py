@@ -3,6 +3,7 @@
 import numpy as np
 import shapely
 from piece_helpers import box
+from scipy.sparse import csr_array
 from shapely import affinity
 
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
@@ -36,11 +37,12 @@ def joined(rooms, n=40, squeeze=False):
 def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0):
     """Return the file data of one ring of corners; without ``lists``, one leaf lists all corners."""
     corner = np.arange(len(points))
-    outline = Outline(np.zeros(2), 1.0, np.asarray(points), np.array([0, len(points)]), False)
+    first, is_thin = np.array([0, len(points)]), np.zeros(len(points), bool)
+    outline = Outline(np.zeros(2), 1.0, np.asarray(points), first, False, is_thin)
     tree = tree_of(Cells.root(2) if cells is None else cells)
-    leaf, listed = (0 * corner, corner) if lists is None else lists
+    lists = csr_array(np.ones((1, len(points)), bool) if lists is None else lists)
     joined = np.array(joined, int).reshape(-1, 2)
-    return PairsFileData(Box((0, 0), domain), outline, corner, joined, tree, leaf, listed, rounding)
+    return PairsFileData(Box((0, 0), domain), outline, corner, joined, tree, lists, rounding)
 
 
 def serpentine(corners, joined=()):

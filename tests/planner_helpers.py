@@ -12,7 +12,7 @@ from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, r
 from plr_jax.collision.motions import JointMotionTest, motions_apart
 from plr_jax.planners import BLOptions, bl_plan, sum_of_distances
 from plr_jax.planners._solution import SearchBudget
-from plr_jax.planners.lattice import build_lattices
+from plr_jax.planners.lattice import JointLattice
 
 ROOM = Workspace(((0, 0), (10, 10)))
 TRIO = Problem(
@@ -80,7 +80,7 @@ def planned(problem, heuristic, **options):
 
 
 def joint_lattice_of(problem, step, deadline=np.inf):
-    return build_lattices(problem, step, JointMotionTest(problem.workspace, problem.robots, deadline))
+    return JointLattice(problem, step, JointMotionTest(problem.workspace, problem.robots, deadline))
 
 
 def search_budget(max_expansions=np.inf, max_memory=np.inf, seconds=60.0):

@@ -56,13 +56,9 @@ class Link:
 
     def __post_init__(self) -> None:
         name = f"the link from {shortened(self.start)} to {shortened(self.end)}"
-        set_fields(
-            self,
-            start=as_place(f"The start of {name}", self.start),
-            end=as_place(f"The end of {name}", self.end),
-            cost=as_finite(f"The cost of {name}", self.cost),
-            both_ways=as_bool(f"both_ways of {name}", self.both_ways),
-        )
+        start, end = as_place(f"The start of {name}", self.start), as_place(f"The end of {name}", self.end)
+        cost, both_ways = as_finite(f"The cost of {name}", self.cost), as_bool(f"both_ways of {name}", self.both_ways)
+        set_fields(self, start=start, end=end, cost=cost, both_ways=both_ways)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +90,10 @@ class Floors:
     hi: Corners
     links: tuple[Link, ...]
     num_goals: int = 0
+    shift: Corners = field(init=False)
+    domain: Box = field(init=False)
 
-    @cached_property
-    def _layout(self) -> tuple[Corners, Box]:
+    def __post_init__(self) -> None:
         # 1. Cells of the grid, two units larger than the largest floor; 2**a columns and 2**b rows, so that cells of
         #    a partition do not reach into two floors once they are small.
         size = (self.hi - self.lo).max(axis=0)
@@ -109,15 +106,8 @@ class Floors:
         # 2. Floors fill the grid row by row.
         row, column = np.divmod(np.arange(len(self.lo)), columns)
         corner = np.stack([column, row], axis=1) * cell
-        return corner + unit - np.floor(self.lo / unit) * unit, Box((0.0, 0.0), cell * (columns, rows))
-
-    @property
-    def shift(self) -> Corners:
-        return self._layout[0]
-
-    @property
-    def domain(self) -> Box:
-        return self._layout[1]
+        domain = Box((0.0, 0.0), cell * (columns, rows))
+        set_fields(self, shift=corner + unit - np.floor(self.lo / unit) * unit, domain=domain)
 
     @cached_property
     def arcs(self) -> list[tuple[int, Link]]:
@@ -218,17 +208,16 @@ class Floors:
         try:
             content = json.loads(text)
             lo, hi = (np.array(content[name], np.float64) for name in ("lo", "hi"))
-            floors = Floors(lo, hi, tuple(Link(*link) for link in content["links"]), content["goals"])
-            require_integer("goals", floors.num_goals, 0)
+            links, num_goals = tuple(Link(*link) for link in content["links"]), content["goals"]
+            require_integer("goals", num_goals, 0)
             dims = {Box(*corners).dim for corners in zip(lo, hi, strict=True)}
-            ends = [place[0] for link in floors.links for place in (link.start, link.end)]
-            if dims != {2} or max(ends, default=0) >= len(lo) or floors.num_goals > _MOST_GOALS:
+            ends = [place[0] for link in links for place in (link.start, link.end)]
+            if dims != {2} or max(ends, default=0) >= len(lo) or num_goals > _MOST_GOALS:
                 raise ValueError("a floor is no box in the plane, a link leads to no floor, or goals are too many")
             with np.errstate(all="ignore"):  # floors of no possible size
-                _ = floors.domain
+                return Floors(lo, hi, links, num_goals)
         except (TypeError, KeyError, ValueError, RecursionError) as error:
             raise ValueError(f"its floors and links are invalid: {error}") from None
-        return floors
 
     def to_bytes(self) -> bytes:
         """Encode the floors for a file: compressed :attr:`text`, after its size."""

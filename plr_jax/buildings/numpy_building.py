@@ -2,9 +2,12 @@
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from plr_jax._files import file_path
 from plr_jax._types import ArrayLike
@@ -14,6 +17,8 @@ from plr_jax.plr.container import BUILDING_MAGIC, read_bytes
 from plr_jax.plr.frame import is_far
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.portable.writers import require_identifier, wrap_entries
+
+_TEMPLATE = Path(__file__).with_name("building.h")  # with marks such as "${NAME}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,35 +62,15 @@ class NumpyBuildingPLR(OnFloors):
         require_identifier(name)
         floors, count = self.floors, len(self.floors.lo)
         far = any(is_far(Box(*bounds)) for bounds in zip(floors.lo, floors.hi, strict=True))
-        of_type = "double" if far else "float"
-        header = f"{name}_BUILDING_H"
-        lines = [self.plane.c_header(f"{name}_plane", compact), f"#ifndef {header}", f"#define {header}"]
-        lo, hi = floors.lo.astype(np.float32), floors.hi.astype(np.float32)
-        for table, rows in {"float {}_lo": lo, "float {}_hi": hi, "double {}_shift": floors.shift}.items():
-            suffix = "f" if table.startswith("float") else ""
-            entries = (f"{{{x}{suffix}, {y}{suffix}}}" for x, y in rows.astype(str))
-            lines += [f"static const {table.format(name)}[{count}][2] = {{", *wrap_entries(entries), "};"]
-        lines += [
-            f"/* Distance to the goal from a point of floor 0 to {count - 1}: INFINITY outside the floor. */",
-            f"static inline float {name}_distance(int floor, const {of_type} x[2])",
-            "{",
-            f"    if (floor < 0 || floor >= {count} || x[0] != x[0] || x[1] != x[1]) {{",
-            "        return NAN;",
-            "    }",
-            "    float p[2];",
-            "    for (int axis = 0; axis < 2; axis++) {",
-            "        const float along = (float)x[axis];",
-            f"        if (!(along >= {name}_lo[floor][axis] && along <= {name}_hi[floor][axis])) {{",
-            "            return INFINITY;",
-            "        }",
-            f"        p[axis] = (float)(x[axis] + {name}_shift[floor][axis]);",
-            "    }",
-            f"    return {name}_plane_distance(p);",
-            "}",
-            "#endif",
-            "",
-        ]
-        return "\n".join(lines)
+
+        def entries(rows: Float[np.ndarray, "floors 2"]) -> str:
+            suffix = "f" if rows.dtype == np.float32 else ""
+            return "\n".join(wrap_entries(f"{{{x}{suffix}, {y}{suffix}}}" for x, y in rows.astype(str)))
+
+        lo, hi, shift = map(entries, (floors.lo.astype(np.float32), floors.hi.astype(np.float32), floors.shift))
+        plane, of_type = self.plane.c_header(f"{name}_plane", compact), "double" if far else "float"
+        marks = {"NAME": name, "PLANE": plane, "TYPE": of_type, "COUNT": count, "LAST": count - 1}
+        return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(marks, LO=lo, HI=hi, SHIFT=shift)
 
 
 def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:

@@ -1,4 +1,4 @@
-"""The command ``plr-jax``. Subcommands import large libraries only when they run, so that ``--help`` is fast."""
+"""The command ``plr-jax``. Commands write ``plr_jax.name``, which is imported in use, so that ``--help`` is fast."""
 
 import os
 import signal

@@ -22,9 +22,7 @@ class _Commands(TyperGroup):
         warn_once = cache(warn)
 
         def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-            from plr_jax.plr import ConstructionInterrupted  # slow to import
-
-            if issubclass(category, ConstructionInterrupted):
+            if issubclass(category, plr_jax.ConstructionInterrupted):
                 raise KeyboardInterrupt  # as Ctrl-C would: the command must not go on with an incomplete PLR
             warn_once(str(message))
 
@@ -49,7 +47,6 @@ app = typer.Typer(
     epilog="Start with: plr-jax demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -61,12 +58,11 @@ def _print_version(is_asked: bool) -> bool:
     return is_asked  # Typer passes the result on as the option's value
 
 
+_VERSION = typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+
+
 @app.callback()
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
-    ] = False,
-) -> None:
+def _options(version: Annotated[bool, _VERSION] = False) -> None:
     pass
 
 

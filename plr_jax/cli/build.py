@@ -13,6 +13,7 @@ from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, or
 
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000  # random free points at which the error is measured
+_GOAL_OPTION = typer.Option("--goal", "-g", metavar="X,Y", show_default="the goal of a scene of one robot")
 
 
 def _kinds_of_leaves() -> list[str]:
@@ -39,10 +40,7 @@ def _map_option(default: str) -> Any:
 )
 def build(
     map: Annotated[str, typer.Argument(metavar="MAP", autocompletion=lambda: list(SCENES))],
-    goal: Annotated[
-        list[str] | None,
-        typer.Option("--goal", "-g", metavar="X,Y", show_default="the goal of a scene of one robot"),
-    ] = None,
+    goal: Annotated[list[str] | None, _GOAL_OPTION] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", show_default="MAP's name with .plr")] = None,
     max_bytes: int = DEFAULT_BYTES,
     tolerance: float | None = None,
@@ -81,7 +79,6 @@ def build(
         radius: Radius of a disc robot, in workspace units; distances are for its center. Error bounds are proven for
             the grown obstacles, whose round corners are polygons; outlines of pictures may be off by half a pixel.
     """
-    from plr_jax.plr import ConstructionInterrupted
     from plr_jax.plr.container import MOST_LABEL_BYTES, frame_size
     from plr_jax.plr.growth import BudgetTooSmall
 
@@ -120,7 +117,7 @@ def build(
     certified = "leaves" if leaf_bounds else True
     try:
         with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", ConstructionInterrupted)
+            warnings.simplefilter("always", plr_jax.ConstructionInterrupted)
             plr = plr_jax.construct(oracle, workspace.bounds, leaf=leaf, certified=certified, **limits)
     except BudgetTooSmall as error:
         needed = error.num_bytes + other_bytes
@@ -129,7 +126,7 @@ def build(
     plr = plr.with_label(label)
     content = plr if of_building is None else plr_jax.BuildingPLR(of_building.floors, plr)
     plr_jax.save(content, output)
-    if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
+    if any(issubclass(warning.category, plr_jax.ConstructionInterrupted) for warning in caught):
         fail_interrupted(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.")
     for warning in caught:
         warn(str(warning.message))

@@ -12,6 +12,9 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
+import plr_jax
+from plr_jax._arrays import format_numbers
+from plr_jax._files import errors_named, write_atomically
 from plr_jax.cli.app import command, printable
 from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file, read_points
 
@@ -46,8 +49,6 @@ def query(
         which: Add the index of the nearest of several goals: 0, 1, ...; -1 outside. In a building, the next link: 0,
             1, ...; -1 to the goal, -2 outside.
     """
-    from plr_jax._files import errors_named
-    from plr_jax.buildings import load_numpy
     from plr_jax.buildings.floors import Floors
     from plr_jax.plr.container import BUILDING_MAGIC, holds_pairs, read_bytes
 
@@ -58,13 +59,8 @@ def query(
         is_pairs = holds_pairs(Floors.read(data)[1] if is_building else data)
     if is_pairs and which:
         raise ValueError(f"--which needs a file of a PLR, got pairs in {file}: leave it out.")
-    if is_pairs:
-        from plr_jax import load
-
-        pairs = load(file)
-        reader: Any = pairs.numpy() if hasattr(pairs, "numpy") else pairs
-    else:
-        reader = load_numpy(file)
+    reader: Any = plr_jax.load(file) if is_pairs else plr_jax.load_numpy(file)
+    reader = reader.numpy() if hasattr(reader, "numpy") else reader
     # 2. Answer the points block by block.
     reads_stdin = points == "-"
     if not sys.stdin and reads_stdin:
@@ -97,11 +93,7 @@ def info(file: FileArgument, json: Annotated[bool, typer.Option("--json")] = Fal
         file: A file of a PLR or of pairs.
         json: Print a JSON object.
     """
-    from plr_jax import load
-    from plr_jax._arrays import format_numbers
-    from plr_jax.plr import PLR
-
-    content = load(file)
+    content = plr_jax.load(file)
     plane = getattr(content, "plane", content)  # of a building, what its file holds of all floors
     domain = plane.domain
     facts: dict[str, Any] = {"file": str(file), "holds": type(content).__name__}
@@ -109,7 +101,7 @@ def info(file: FileArgument, json: Annotated[bool, typer.Option("--json")] = Fal
     facts["periodic_axes"] = [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic]
     names = ["label", "num_bytes", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
     facts |= {name: getattr(plane, name) for name in names if hasattr(plane, name)} | {"num_bytes": content.num_bytes}
-    if isinstance(plane, PLR):  # building the tables of pairs may take long
+    if isinstance(plane, plr_jax.PLR):  # building the tables of pairs may take long
         facts |= {"leaf": plane.leaf.name, "resident_bytes": plane.resident_bytes}
     lines = [f"{name:16}{printable(str(value))}" for name, value in facts.items()]
     typer.echo(dumps(facts, indent=2) if json else "\n".join(lines))
@@ -136,32 +128,28 @@ def plot(
         goal: The goal, if FILE holds pairs.
         kind: The distance as colors and contours; the cells; the error, which needs the map.
     """
-    from plr_jax import load, metrics
-    from plr_jax import plot as draw
-    from plr_jax.plr import PLR
-
     # 1. Read the distance, and check that it can be drawn.
     check_output(output, PICTURES, inputs=(file, map))
-    content = load(file)
+    content = plr_jax.load(file)
     content = getattr(content, "plane", content)  # of a building, all floors side by side
     plr = _distance_of(content, file, goal)
     if plr.domain.dim != 2:
         raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plot_contours with at=.")
-    if not isinstance(plr, PLR) and kind != "distance":
+    if not isinstance(plr, plr_jax.PLR) and kind != "distance":
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
     # 2. Read the map, and draw.
     workspace, goals = read_map_of_file(file, content, map, is_needed=kind == "error")
     goals = parse_goals(goal) if goal else goals
-    match kind:
-        case "distance":
-            ax = draw.plot_contours(plr, workspace=workspace, goal=goals)
-        case "cells":
-            ax = draw.plot_cells(plr, workspace=workspace)
-        case "error":
-            if workspace is None or goals is None:
-                raise ValueError(f"{file} does not name its map and goal: use plr_jax.plot.plot_error.")
-            ax = draw.plot_error(metrics.error_grid(plr, oracle_of(workspace, goals), workspace), workspace)
-    draw.save(ax, output)
+    if kind == "distance":
+        ax = plr_jax.plot.plot_contours(plr, workspace=workspace, goal=goals)
+    elif kind == "cells":
+        ax = plr_jax.plot.plot_cells(plr, workspace=workspace)
+    elif workspace is None or goals is None:
+        raise ValueError(f"{file} does not name its map and goal: use plr_jax.plot.plot_error.")
+    else:
+        error = plr_jax.metrics.error_grid(plr, oracle_of(workspace, goals), workspace)
+        ax = plr_jax.plot.plot_error(error, workspace)
+    plr_jax.plot.save(ax, output)
     typer.echo(f"wrote {output}")
 
 
@@ -172,10 +160,7 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
     texts ``X,Y`` of the option ``--goal``. ``ValueError`` is raised if a goal is given for a PLR, or not exactly one
     goal for pairs.
     """
-    from plr_jax.buildings import BuildingPLR
-    from plr_jax.plr import PLR
-
-    if isinstance(content, PLR | BuildingPLR):
+    if isinstance(content, plr_jax.PLR | plr_jax.BuildingPLR):
         if goal:
             raise ValueError(f"{file} is a PLR with a fixed goal: leave out --goal.")
         return content
@@ -213,13 +198,10 @@ def export(
         js: Write a JavaScript module, or a C99 header, which is also valid C++.
         compact: Write a header for small machines: less memory, slower.
     """
-    from plr_jax import load
-    from plr_jax._files import write_atomically
-
     check_output(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
     if js and compact:
         raise ValueError("--compact is for C headers: leave it out.")
-    content = load(file)
+    content = plr_jax.load(file)
     if hasattr(content, "window"):  # pairs of a grid: a header, and a file of tables beside it
         if js or goal or compact:
             reason = f"{file} holds pairs of cells of a grid, which become a C header for any goal"
@@ -254,16 +236,12 @@ def view(
         map: Map whose obstacles are drawn, as --map of plot; pairs have their own.
         output: The page to write.
     """
-    from plr_jax import load
-    from plr_jax.plot import page
-    from plr_jax.plr import PLR
-
     output = output or Path(f"{file.stem}.html")
     check_output(output, (".html",), inputs=(file, map))
-    content = load(file)
+    content = plr_jax.load(file)
     plane = getattr(content, "plane", content)
-    workspace = read_map_of_file(file, plane, map)[0] if map is not None or isinstance(plane, PLR) else None
-    written = page(content, workspace)
+    workspace = read_map_of_file(file, plane, map)[0] if map is not None or isinstance(plane, plr_jax.PLR) else None
+    written = plr_jax.plot.page(content, workspace)
     written.save(output)
     typer.echo(f"wrote {output}: {len(written.html.encode()):,} bytes; open it in a browser")
 

@@ -7,16 +7,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+import plr_jax
 from plr_jax.cli.app import reason_of, warn
-
-if TYPE_CHECKING:
-    from plr_jax import NearestGoal, VisibilityGraph
-    from plr_jax.geometry.workspace import Workspace
 
 SCENES = ("maze", "thin_maze", "floor_plan")
 DEFAULT_BYTES = 4_096  # size limit of a file by default
@@ -38,12 +35,10 @@ def parse_goals(texts: Sequence[str], form: str = "X,Y") -> Float[np.ndarray, "g
     return goals
 
 
-def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "VisibilityGraph | NearestGoal":
+def oracle_of(workspace: "plr_jax.Workspace", goals: Float[np.ndarray, "goals 2"]) -> Any:
     """Return the exact distance function to the goal, or to the nearest of several goals."""
-    from plr_jax import NearestGoal, VisibilityGraph
-
-    first: Any = VisibilityGraph(workspace, goals[0])
-    return first if len(goals) == 1 else NearestGoal([first, *map(first.with_goal, goals[1:])])
+    first: Any = plr_jax.VisibilityGraph(workspace, goals[0])
+    return first if len(goals) == 1 else plr_jax.NearestGoal([first, *map(first.with_goal, goals[1:])])
 
 
 @dataclass(frozen=True)
@@ -77,26 +72,24 @@ class NamedMap:
             return named if name in SCENES or Path(name).suffix else None
         return None
 
-    def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
+    def read(self) -> tuple["plr_jax.Workspace", Float[np.ndarray, "goals 2"] | None]:
         """Return the workspace, with obstacles grown by the option ``radius``, and the goals.
 
         If :attr:`goals` is None, the goal is taken from a scene with one robot; other maps have no goals (None).
         """
-        from plr_jax import scenes
-
         reading = {key: value for key, value in self.options.items() if key != "radius"}
         if self.name in SCENES:
             if reading:
                 raise ValueError(f"{self.name} is a scene, which is read without options, got {', '.join(reading)}.")
-            problem = getattr(scenes, self.name)()
+            problem = getattr(plr_jax.scenes, self.name)()
             workspace = problem.workspace
         elif not Path(self.name).suffix:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a file of a map, got {self.name!r}.")
-        elif scenes.is_building(self.name):
-            workspace, problem = scenes.read_building(self.name).plane, None
+        elif plr_jax.scenes.is_building(self.name):
+            workspace, problem = plr_jax.scenes.read_building(self.name).plane, None
         else:
-            workspace = scenes.read_workspace(self.name, **reading)
-            problem = scenes.load(self.name) if scenes.is_scene(self.name) else None
+            workspace = plr_jax.scenes.read_workspace(self.name, **reading)
+            problem = plr_jax.scenes.load(self.name) if plr_jax.scenes.is_scene(self.name) else None
         goals = self.goals
         if goals is None and problem is not None and len(problem.robots) == 1:
             goals = problem.goals[:, :2]
@@ -105,7 +98,7 @@ class NamedMap:
 
 def read_map_of_file(
     file: Path, content: Any, map: str | None, *, is_needed: bool = False
-) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
+) -> tuple["plr_jax.Workspace | None", Float[np.ndarray, "goals 2"] | None]:
     """Return the workspace and the goals of the map from which a PLR's file was built; None where they are unknown.
 
     ``content`` is the PLR in the file; its label names the map, the goals and the options. If ``map`` is given, it

@@ -3,15 +3,13 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import plr_jax
 from plr_jax.cli.app import command, fail, fail_interrupted
 from plr_jax.cli.inputs import PICTURES, SCENES, check_output
-
-if TYPE_CHECKING:
-    from plr_jax import BLOptions, HeuristicFn, Problem, Solution
 
 _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 _TEAM_SCENES = ("single_door", *_DEFAULT_ROBOTS, "tangle", *SCENES)
@@ -44,14 +42,11 @@ def plan(
         animation: Write an animation of the path: .gif or .html.
         picture: Draw the path: .png, .pdf or .svg.
     """
-    from plr_jax import BLOptions, Status
-    from plr_jax import plot as draw
-
     # 1. Check all arguments before the work starts.
     check_output(output, (".json",), inputs=(scene,))
     check_output(animation, (".gif", ".html"))
     check_output(picture, PICTURES)
-    options = BLOptions(cost_factor=cost_factor, time_limit=time_limit)
+    options = plr_jax.BLOptions(cost_factor=cost_factor, time_limit=time_limit)
     problem = read_problem(scene, robots)
     # 2. Plan, and write the best path, also if planning was interrupted.
     typer.echo(scene)
@@ -60,46 +55,44 @@ def plan(
         if output is not None:
             solution.save(output)
         if animation is not None:
-            draw.animate(problem, solution.path).save(animation)
+            plr_jax.plot.animate(problem, solution.path).save(animation)
         if picture is not None:
-            draw.save(draw.plot_path(problem, solution.path), picture)
+            plr_jax.plot.save(plr_jax.plot.plot_path(problem, solution.path), picture)
         for file in filter(None, (output, animation, picture)):
             typer.echo(f"  wrote      {file}")
     # 3. Tell by the exit code why there is no path, or not the best one.
-    if solution.status is Status.INTERRUPTED:
+    if solution.status is plr_jax.Status.INTERRUPTED:
         fail_interrupted(f"Interrupted: {'the best path so far' if solution.solved else 'no path yet'}.")
     if not solution.solved:
         fail(f"No path: {solution.status}.", code=1)
 
 
-def read_problem(name: str, num_robots: int | None) -> "Problem":
+def read_problem(name: str, num_robots: int | None) -> "plr_jax.Problem":
     """Return the scene of ``plr_jax.scenes`` with this name, or read a scene file whose name ends in ``.json``.
 
     If ``num_robots`` is None, the scene has its default number of robots.
     """
-    from plr_jax import scenes
-
     if num_robots is not None and name not in _DEFAULT_ROBOTS:
         raise ValueError(f"--robots is for the scenes {' and '.join(_DEFAULT_ROBOTS)}, got {name!r}: leave it out.")
     if name in _DEFAULT_ROBOTS:
-        return getattr(scenes, name)(_DEFAULT_ROBOTS[name] if num_robots is None else num_robots)
+        return getattr(plr_jax.scenes, name)(_DEFAULT_ROBOTS[name] if num_robots is None else num_robots)
     if name in _TEAM_SCENES:
-        return getattr(scenes, name)()
+        return getattr(plr_jax.scenes, name)()
     if Path(name).suffix == ".json":
-        return scenes.load(name)
+        return plr_jax.scenes.load(name)
     raise ValueError(f"SCENE must be a scene ({', '.join(_TEAM_SCENES)}) or a file ending in .json, got {name!r}.")
 
 
-def solve(problem: "Problem", options: "BLOptions", heuristic: "HeuristicFn | None" = None) -> "Solution":
+def solve(
+    problem: "plr_jax.Problem", options: "plr_jax.BLOptions", heuristic: "plr_jax.HeuristicFn | None" = None
+) -> "plr_jax.Solution":
     """Plan a path, and print a report. If the path found is not valid, the command ends with exit code 1.
 
     If ``heuristic`` is None, :func:`plr_jax.bl_plan` uses its default. The report compares the path's cost with a
     lower bound: the sum of the robots' exact distances to their goals, each robot alone in the workspace.
     """
-    from plr_jax import bl_plan, exact_lower_bound, validate
-
-    bound = exact_lower_bound(problem)
-    solution = bl_plan(problem, heuristic, replace(options, lower_bound=bound if bound < math.inf else 0.0))
+    bound = plr_jax.exact_lower_bound(problem)
+    solution = plr_jax.bl_plan(problem, heuristic, replace(options, lower_bound=bound if bound < math.inf else 0.0))
     stats = solution.stats
     typer.echo(f"  robots     {len(problem.robots)}")
     typer.echo(f"  status     {solution.status}")
@@ -108,7 +101,7 @@ def solve(problem: "Problem", options: "BLOptions", heuristic: "HeuristicFn | No
     if solution.path is None:
         typer.echo("  cost       none: no path was found")
         return solution
-    report = validate(problem, solution.path)
+    report = plr_jax.validate(problem, solution.path)
     ratio = f"{solution.factor:.3f} times the lower bound of {solution.lower_bound:.4g}"
     typer.echo(f"  cost       {solution.cost:.4g}, {ratio}")
     typer.echo(f"  makespan   {solution.makespan:.4g}")

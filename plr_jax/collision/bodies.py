@@ -126,10 +126,15 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
 
     If this velocity is 0, return ``(0, 1)``.
     """
-    dx, dy = b.dx - a.dx, b.dy - a.dy
-    speed = np.hypot(dx, dy)
-    nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
-    return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
+    x, y = _direction(b.dx - a.dx, b.dy - a.dy)
+    return -y, x
+
+
+def _direction(x: Column, y: Column) -> Columns:
+    """Return the unit vector along each vector; ``(1, 0)`` for a vector of length 0."""
+    length = np.hypot(x, y)
+    unit_x = np.divide(x, length, out=np.ones_like(x), where=length > 0)
+    return unit_x, np.divide(y, length, out=np.zeros_like(y), where=length > 0)
 
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
@@ -237,9 +242,7 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     squared = (points * points).sum(axis=0)
     x, y = np.take_along_axis(points, squared.argmin(axis=0)[None, None], axis=1)[:, 0]
     distances = [np.sqrt(part.min(axis=0)) for part in (squared[: 2 * k * m], squared[2 * k * m : 4 * k * m])]
-    length = np.hypot(x, y)
-    nx = np.divide(x, length, out=np.ones_like(x), where=length > 0)
-    return (nx, np.divide(y, length, out=np.zeros_like(y), where=length > 0)), (distances[0], distances[1])
+    return _direction(x, y), (distances[0], distances[1])
 
 
 def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:

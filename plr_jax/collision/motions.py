@@ -5,7 +5,6 @@ are tested exactly. The tolerance of the exact tests is larger than the rounding
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple, TypeAlias
@@ -13,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import batches, require_time, slices
+from plr_jax._arrays import IndexPairs, batches, require_time, slices
 from plr_jax._types import JointConfigurations
 from plr_jax.collision.bodies import bisect, box_point_separation, box_separation, convex_separation, moving_bodies
 from plr_jax.collision.walls import MotionTest, motion_test
@@ -59,28 +58,24 @@ class TeamTrajectory:
         x, y, radius = circles(q[:-1, None], q[1:, None])
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
-    def robots_near(
-        self, i: int, around: Circles, first_row: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
-    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    def robots_near(self, i: int, around: Circles, first_row: Rows, excluded: Sequence[int] = ()) -> IndexPairs:
         """Find the robots that robot ``i`` may meet while its reference point is in given circles.
 
         While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
         of robot ``i`` is somewhere in circle ``k`` of ``around``. Robots ``excluded`` are left out.
 
         Returns:
-            The indices ``k`` and ``j`` of all pairs that may meet, both ``(m,)``, ordered by ``k``, then ``j``.
+            The indices ``k`` and ``j`` of all pairs that may meet, ordered by ``k``, then ``j``.
         """
         # Circles overlap if dx^2 + dy^2 < reach^2: compare blocks of circles with all robots.
         num_robots = len(self._size)
-        size = max(1, _CHUNK // num_robots)
         near = []  # k * num_robots + j
-        for first in range(0, max(1, len(first_row)), size):
-            block = slice(first, first + size)
+        for block in slices(max(1, len(first_row)), max(1, _CHUNK // num_robots)):
             x, y, radius = (column[block, None] for column in around)
             row = first_row[block]
             dx, dy, reach = self._x[row] - x, self._y[row] - y, self._radius[row] + (radius + self._size[i])
             reach[:, [i, *excluded]] = 0.0
-            near.append(first * num_robots + np.flatnonzero(dx * dx + dy * dy < reach * reach))
+            near.append(block.start * num_robots + np.flatnonzero(dx * dx + dy * dy < reach * reach))
         return np.divmod(np.concatenate(near), num_robots)
 
 
@@ -128,12 +123,10 @@ def motions_apart(
     motions = a0, a1, b0, b1
     batch = np.broadcast(*(q[..., 0] for q in motions))
     if batch.size > _MOST and batch.shape[0] > 1:
-        size = max(1, _MOST * batch.shape[0] // batch.size)
-        apart = np.empty(batch.shape, dtype=bool)
-        for rows in slices(batch.shape[0], size):
-            a0, a1, b0, b1 = (q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions)
-            apart[rows] = motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline)
-        return apart
+        blocks = slices(batch.shape[0], max(1, _MOST * batch.shape[0] // batch.size))
+        parts = ([q[rows] if q.ndim > batch.ndim and len(q) > 1 else q for q in motions] for rows in blocks)
+        tests = (motions_apart(robot_a, a0, a1, robot_b, b0, b1, tolerance, deadline) for a0, a1, b0, b1 in parts)
+        return np.concatenate([*tests])
     # 2. Compare the least distance of the reference points with the circumscribed and the inscribed radii.
     x, y = b0[..., 0] - a0[..., 0], b0[..., 1] - a0[..., 1]
     dx, dy = b1[..., 0] - a1[..., 0] - x, b1[..., 1] - a1[..., 1] - y
@@ -161,13 +154,11 @@ def motions_apart(
     return apart
 
 
-@dataclass(frozen=True, eq=False)
 class JointMotionTest:
     """A test, with a deadline, whether a whole team moves straight without hitting obstacles or one another."""
 
-    workspace: Workspace
-    robots: Sequence[Robot]
-    deadline: float = np.inf
+    def __init__(self, workspace: Workspace, robots: Sequence[Robot], deadline: float = np.inf):
+        self.workspace, self.robots, self.deadline = workspace, robots, deadline
 
     @cached_property
     def wall_tests(self) -> tuple[MotionTest, ...]:

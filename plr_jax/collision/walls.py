@@ -83,9 +83,12 @@ class MotionTest:
         clearance = self._clearance[cell]
         clear = clearance - from_center - half >= self.robot.circumscribed_radius
         may_fit = clearance + from_center >= self.robot.inscribed_radius - self.workspace.tolerance
-        # 2. Test the undecided pieces against walls.
+        # 2. Test the undecided pieces against walls, in batches of about equal work.
         unsure = np.flatnonzero(~clear & may_fit)
-        clear[unsure] = self._test_walls(pieces.take(unsure), cell[unsure], deadline)
+        num_edges = self._first[cell[unsure] + 1] - self._first[cell[unsure]]
+        for part in parts(np.full(len(unsure), _EDGES_PER_POINT) if self._is_point else num_edges, _PAIRS):
+            require_time(deadline, _PURPOSE)
+            clear[unsure[part]] = self._test_walls(pieces.take(unsure[part]), cell[unsure[part]], deadline)
         # 3. A body that no wall cuts is inside or outside. If the middle may be outside, test the center of the body
         #    there: the reference point may touch a wall.
         doubtful = unsure[clear[unsure] & (clearance[unsure] <= from_center[unsure])]
@@ -134,20 +137,9 @@ class MotionTest:
 
         For a point robot, all walls are tested, for other robots the walls near each piece's cell.
         """
-        work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
-        clear = np.empty(len(cell), dtype=bool)
-        for part in parts(work, _PAIRS):
-            require_time(deadline, _PURPOSE)
-            batch = pieces.take(part)
-            if self._is_point:
-                begin = np.stack([batch.x, batch.y], axis=1)
-                clear[part] = self.workspace.is_visible(begin, begin + np.stack([batch.dx, batch.dy], axis=1))
-            else:
-                clear[part] = self._test_edges(batch, cell[part], deadline)
-        return clear
-
-    def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
-        """Return which pieces of motions of a robot, larger than a point, hit no wall near the piece's cell."""
+        if self._is_point:
+            begin = np.stack([pieces.x, pieces.y], axis=1)
+            return self.workspace.is_visible(begin, begin + np.stack([pieces.dx, pieces.dy], axis=1))
         robot, tolerance = self.robot, self.workspace.tolerance
         clear = np.ones(len(cell), dtype=bool)
         # 1. List the pairs of a piece and an edge near its cell, and compute the distance from the path of the

@@ -9,7 +9,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,8 +33,7 @@ _NEAR = 0.01
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 
 
-@dataclass(frozen=True, eq=False)
-class MeshEstimate:
+class MeshEstimate(NamedTuple):
     """An estimate of the cost-to-go that is multilinear in each cell of a mesh, and ``inf`` in blocked cells."""
 
     mesh: Mesh

@@ -11,9 +11,9 @@ of its Bernstein coefficients, the *control vectors*.
     o-----o--o--o
 """
 
-from dataclasses import dataclass
 from functools import reduce
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,8 +30,7 @@ _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
 _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1]])}
 
 
-@dataclass(frozen=True, eq=False)
-class FunctionSpace:
+class FunctionSpace(NamedTuple):
     """A finite-element space: polynomials of degree 1 or 2 along each axis in each cell of a mesh.
 
     The functions are continuous across faces between cells that are not blocked.

@@ -166,14 +166,12 @@ def grid_estimate(
 
     # 2. The costs of motions at free nodes and at the goals.
     factor, pulls = np.ones(shape), None
-    at_goals: Rates = np.ones(len(goals)), None
-    if cost_map is not None:
-        is_free = is_open if groups is None else groups.has_part
-        factor[is_free], pulls_of_free = point_costs(motion_cost, cost_map, node[is_free])
-        at_goals = point_costs(motion_cost, cost_map, goals)
-        if pulls_of_free is not None:
-            pulls = np.zeros((2, *shape, dim))
-            pulls[:, is_free] = pulls_of_free
+    is_free = is_open if groups is None else groups.has_part
+    factor[is_free], pulls_of_free = point_costs(motion_cost, cost_map, node[is_free])
+    at_goals = point_costs(motion_cost, cost_map, goals)
+    if pulls_of_free is not None:
+        pulls = np.zeros((2, *shape, dim))
+        pulls[:, is_free] = pulls_of_free
 
     # 3. The cost of straight motions from open nodes to goals near them; inf if no motion is free. First all nodes
     #    look at their nearest goal (rank 0), then at the next ones.

@@ -7,9 +7,8 @@ permit. Stencils have no diagonals, so no path passes where two obstacles touch 
 Reference: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
 """
 
-from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import skfmm
@@ -162,8 +161,7 @@ def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, si
     return cost + ndimage.map_coordinates(change, np.indices(cost.shape) / 2, order=1)
 
 
-@dataclass(frozen=True, eq=False)
-class VoxelGroups:
+class VoxelGroups(NamedTuple):
     """Groups of voxels: cubes of ``size`` (odd) voxels along each axis, each of which is a node of a coarse grid.
 
     A node stands for one *part* of its group's free voxels: all voxels that are connected, through faces within the

@@ -8,8 +8,7 @@ planning on grids", 2007.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -37,8 +36,7 @@ EdgeCosts: TypeAlias = Float[np.ndarray, " _"]
 Edges: TypeAlias = tuple[Nodes, Nodes, EdgeCosts]  # where edges begin and end, and their costs
 
 
-@dataclass(frozen=True, eq=False)
-class NodePaths:
+class NodePaths(NamedTuple):
     """Paths from the corners of a mesh's cells (the nodes) to the nearest goal; all motions are proven free."""
 
     points: Float[np.ndarray, "nodes dim"]  # the nodes as fractions of the domain, then the goals
@@ -134,7 +132,7 @@ class _FreeGraph:
 
         The ``space`` proves that the motion along each edge is free. ``goal`` is the goal's index in ``points``.
         """
-        num, motion_cost, cost_map = len(self.mesh.nodes), self.costs.motion_cost, self.costs.cost_map
+        num, motion_cost = len(self.mesh.nodes), self.costs.motion_cost
         change = self._changes(np.arange(num), np.full(num, goal))
         most = max(_MOST_NEAR_GOALS // len(self.goals), _LEAST_NEAR_GOAL)
         near = np.argsort(motion_cost.norm(change), kind="stable")[:most]
@@ -142,10 +140,9 @@ class _FreeGraph:
         free = np.flatnonzero(space.are_free(q, q + change[near]))
         near, q = near[free], q[free]
         change = change[near]
-        cost = motion_cost.norm(change)
-        if cost_map is not None:
-            _, upper, pulls = cost_bounds(motion_cost, cost_map, np.minimum(q, q + change), np.maximum(q, q + change))
-            cost = cost * upper + pulled(pulls, change)  # pulls: the part of the cost that depends on the direction
+        lo, hi = np.minimum(q, q + change), np.maximum(q, q + change)
+        _, upper, pulls = cost_bounds(motion_cost, self.costs.cost_map, lo, hi)
+        cost = motion_cost.norm(change) * upper + pulled(pulls, change)
         return near.astype(np.int32), np.full(len(near), goal, np.int32), cost
 
     def _edges_in_cells(self, goal_cells: Nodes) -> Iterator[Edges]:

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -108,12 +108,9 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     #   most  = max over j of upper_j - slope . x_j + within,     so most + slope . x is an upper bound.
     motion_cost, num = space.motion_cost, len(mesh.state)
     # 1. Without a cost map the factor is 1. With pulls, constants bound it.
-    flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
-    if cost_map is None:
-        return CellCosts(motion_cost, None, ones, ones, flat, ones, ones)
-    if isinstance(cost_map, DirectionalCost):
+    if cost_map is None or isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, *mesh.grown_boxes)
-        return CellCosts(motion_cost, cost_map, lower, upper, flat, lower, upper, pulls)
+        return CellCosts(motion_cost, cost_map, lower, upper, np.zeros((num, mesh.dim)), lower, upper, pulls)
     # 2. Bounds of the factor in each part of each cell, a part per column; upper bounds in parts of the grown boxes.
     parts = _PARTS.get(mesh.dim, 1)
     place = np.array(list(product(range(parts), repeat=mesh.dim)))
@@ -166,8 +163,7 @@ def rescaling_of(lowest: Numbers, highest: Numbers, factor: Numbers) -> Curve:
     return level, value - np.interp(0.0, level, value)
 
 
-@dataclass(frozen=True, eq=False)
-class SlopeSets:
+class SlopeSets(NamedTuple):
     """Convex sets for the gradient of a lower bound of the cost-to-go: one set for each coefficient of the gradient.
 
     The gradient is in Bernstein form; each coefficient is a vector. A set is a ball if costs are lengths, and a
@@ -190,10 +186,9 @@ class SlopeSets:
         # nearest point instead.
         center = self._nearest_center(g)
         g = g - center
-        shortened = np.empty_like(g)
         for block, length in zip(self.blocks, self.lengths(g), strict=True):
-            shortened[list(block)] = g[list(block)] * (self.radius / np.maximum(length, self.radius))
-        return shortened + center
+            g[list(block)] *= self.radius / np.maximum(length, self.radius)
+        return g + center
 
     def _nearest_center(self, g: Vectors) -> Vectors | float:
         # The point nearest to g on the segment from -pulls[0] to -pulls[1]; 0 without pulls.
@@ -247,8 +242,7 @@ _LARGEST_ENVELOPE = 80_000_000
 _COARSEST_GRID = 100  # most unknowns of the coarsest grid of multigrid
 
 
-@dataclass(frozen=True, eq=False)
-class Iterate:
+class Iterate(NamedTuple):
     """An iterate of the solver: values of the lower bound, and multipliers, which are a flow along cheapest paths."""
 
     values: Dofs  # of the degrees of freedom

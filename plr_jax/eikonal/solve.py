@@ -171,10 +171,8 @@ def solve_eikonal(
         if len(space.motion_cost.blocks) > 1:
             # The free space of a turning body is thin: continuous leaves would reach through its walls.
             leaf, options = "plane", BuildOptions()
-        least_rate = 1.0
-        if cost_map is not None:
-            least_rate = float(cost_bounds(space.motion_cost, cost_map, domain.lo[None], domain.hi[None])[0][0])
-        straight = straight_bound(domain, space.motion_cost, least_rate, at, max_bytes or math.inf)
+        least_rates, _, _ = cost_bounds(space.motion_cost, cost_map, domain.lo[None], domain.hi[None])
+        straight = straight_bound(domain, space.motion_cost, float(least_rates[0]), at, max_bytes or math.inf)
         # Before the bound, the file has a float that says that nothing else is proven.
         spare = 0 if straight is None else straight.num_bytes + 4
         budget = None if max_bytes is None else max(int(max_bytes) - spare, 1)
@@ -367,11 +365,9 @@ class SlopeSolver:
         # 7. Solve thoroughly on the last mesh.
         self.iterate, has_converged = self.program.solve_thoroughly(self.iterate, _MOST)
         if not has_converged:
-            warnings.warn(
-                f"The solver of lower bounds has not converged in {_MOST:,} iterations: the bounds hold, but lower "
-                "bounds may be looser than the cells allow. Compare the bounds of another max_leaves.",
-                stacklevel=4,
-            )
+            problem = f"The solver of lower bounds has not converged in {_MOST:,} iterations"
+            effect = "the bounds hold, but lower bounds may be looser than the cells allow"
+            warnings.warn(f"{problem}: {effect}. Compare the bounds of another max_leaves.", stacklevel=4)
 
     def _without_borders(self, mesh: Mesh) -> Mesh:
         # Refine cells that hold both points that reach a goal and points that do not: the answer beyond a wall errs

@@ -240,13 +240,14 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
     if not isinstance(shapes, BaseGeometry | Iterable):
         raise ValueError(f"{name}s must be a list of rings (n, 2) or Shapely polygons, got {shortened(shapes)}.")
-    return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_flatten_collections(shapes)))
+    return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(flatten_collections(shapes)))
 
 
-def _flatten_collections(shapes: Any, kind: type = GeometryCollection) -> Iterator[Any]:
+def flatten_collections(shapes: Any, kind: type = GeometryCollection) -> Iterator[Any]:
+    """Yield the items of ``shapes``, such as Shapely geometries; parts of a ``kind`` of geometry replace it."""
     items: Any = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     for shape in items:
-        yield from _flatten_collections(shape.geoms, kind) if isinstance(shape, kind) else (shape,)
+        yield from flatten_collections(shape.geoms, kind) if isinstance(shape, kind) else (shape,)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
@@ -312,7 +313,7 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
     """
     # 1. Check each component, and subtract its holes.
     polygons = []
-    for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
+    for i, part in enumerate(flatten_collections(components, BaseMultipartGeometry)):
         if isinstance(part, BaseGeometry):
             polygons.append(as_polygon(f"Component {i}", part))
             continue

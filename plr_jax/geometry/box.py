@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -211,8 +211,7 @@ class Box:
         return f"Box({lo}, {hi}{periodic})"
 
 
-@dataclass(frozen=True, eq=False)
-class Slice:
+class Slice(NamedTuple):
     """A 2-D slice of a box: coordinates along the two ``axes`` vary, all other coordinates are those of ``at``."""
 
     domain: Box

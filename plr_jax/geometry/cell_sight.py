@@ -9,7 +9,7 @@ the piece turns at the source.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,8 +34,7 @@ Corners: TypeAlias = Float[np.ndarray, "cells 2"]
 Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 
-@dataclass(frozen=True, eq=False)
-class Shadows:
+class Shadows(NamedTuple):
     """Segments (*shadows*) across which visibility from a viewpoint changes: on rays past corners, behind the corner.
 
     ::
@@ -170,8 +169,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
     return views_by_triangle(triangulation, np.concatenate(visits, axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class Sight:
+class Sight(NamedTuple):
     """The goals and corners to which shortest paths may go first (*sources*), and data for two tests of sources.
 
     One test is whether a source sees a convex piece of free space. The other is whether a path from the piece may

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -152,20 +152,13 @@ def with_places(
     a, b = np.triu_indices(len(places), 1)
     sees = table.sees(a, views.points[b]) & table.sees(b, views.points[a]) & (of[a] != of[b])
     pairs = np.stack([corner[joined], count + place[joined]], axis=1), count + np.stack([a[sees], b[sees]], axis=1)
-    return CornerVisibility(
-        corners.with_points(places, count),
-        visibility.views.append(views),
-        VisibilityTable.joined([visibility.table, table]),
-        np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype),
-        len(places),
-        copies,
-        arc[row],
-    )
+    edges = np.concatenate([visibility.edges, *pairs], dtype=visibility.edges.dtype)
+    corners, views = corners.with_points(places, count), visibility.views.append(views)
+    table = VisibilityTable.joined([visibility.table, table])
+    return CornerVisibility(corners, views, table, edges, len(places), copies, arc[row])
 
 
-def mutually_visible_pairs(
-    corners: ReflexCorners, view: Int[np.ndarray, " pairs"], seen: Int[np.ndarray, " pairs"]
-) -> Int[np.ndarray, "edges 2"]:
+def mutually_visible_pairs(corners: ReflexCorners, view: Indices, seen: Indices) -> Int[np.ndarray, "edges 2"]:
     """Return the pairs of corners that see each other along a line that is tangent to the walls at a corner or both.
 
     The arguments list what corners see: corner ``view[i]`` sees corner ``seen[i]``. Each pair is returned once.
@@ -250,10 +243,7 @@ class TurnPoints:
 
 
 def find_turn_points(
-    vertices: ReflexCorners,
-    distances: Float[np.ndarray, " vertices"],
-    parents: Int[np.ndarray, " vertices"],
-    num_goals: int = 1,
+    vertices: ReflexCorners, distances: Float[np.ndarray, " v"], parents: Int[np.ndarray, " v"], num_goals: int = 1
 ) -> TurnPoints:
     """Return the corners at which shortest paths to a goal may turn first.
 
@@ -293,8 +283,7 @@ def find_turn_points(
     return TurnPoints(vertex, points[useful], distances[vertex], normal[:, useful], vertices.slack)
 
 
-@dataclass(frozen=True, eq=False)
-class TurnRegions:
+class TurnRegions(NamedTuple):
     """Lists, one for each triangle of free space, of the corners where paths from there to a goal may turn first."""
 
     turns: TurnPoints

@@ -85,8 +85,7 @@ def dijkstra(
     ``adjacency`` is that of a :class:`Graph`. Without a path the distance is ``inf``. The predecessor of a source,
     and of a vertex without a path, is negative.
     """
-    several = np.ndim(source) > 0
-    return sparse_graphs.dijkstra(adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
+    return sparse_graphs.dijkstra(adjacency, indices=source, return_predecessors=True, min_only=True)[:2]
 
 
 def connected_groups(num_vertices: int, edges: Int[np.ndarray, "2 _"]) -> Int[np.ndarray, " v"]:

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from shapely.geometry import MultiPolygon, Polygon
 
 from plr_jax._arrays import as_cells, as_finite, as_numbers, ragged_indices, require_integer, shortened
 from plr_jax._types import ArrayLike, Points
@@ -306,8 +305,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     # 2. Simplify the rings, and join them to polygons again. The first ring of each polygon is its shell.
     points, ring = _simplified(points[:, ::-1], ring, touches[tuple(points.astype(int).T)], tolerance)
     loops: Any = shapely.linearrings(points, indices=ring)
-    groups = np.split(loops, np.flatnonzero(np.diff(polygon)) + 1)
-    return MultiPolygon([Polygon(group[0], group[1:]) for group in groups])
+    return shapely.multipolygons(shapely.polygons(loops, indices=polygon))
 
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:

@@ -6,7 +6,7 @@ removing the triangles that it crosses and filling the two polygons on its sides
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -27,8 +27,7 @@ _BITS = 46  # bits of integer coordinates: they resolve the grid to which a work
 TriangleLists: TypeAlias = tuple[Int[np.ndarray, " triangles_plus_one"], Int[np.ndarray, " entries"]]
 
 
-@dataclass(frozen=True, eq=False)
-class Locator:
+class Locator(NamedTuple):
     """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
 
     Cells are numbered column by column.
@@ -261,9 +260,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     is_clockwise = cross_product(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[is_clockwise] = corners[is_clockwise, ::-1]
     # 3. Find the indices of the triangles' vertices by coordinates: complex numbers are ordered by x, then y.
-    keys = vertices @ [1, 1j]
-    order = np.argsort(keys)
-    triangles = order[np.searchsorted(keys, corners @ [1, 1j], sorter=order)]
+    triangles = index_of(vertices @ [1, 1j], (corners @ [1, 1j]).ravel()).reshape(-1, 3)
     # 4. Insert the missing walls one by one, in integer arithmetic.
     if len(missing := _missing_edges(triangles, boundary.edges, len(vertices))):
         offset = vertices - vertices.min(axis=0)

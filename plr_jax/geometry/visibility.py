@@ -128,12 +128,10 @@ class _Cones:
         return len(self.view)
 
     def __getitem__(self, rows: slice) -> "_Cones":
-        columns = self.view[rows], self.half_edge[rows], self.vertex[rows]
-        return _Cones(*columns, self.right[:, rows], self.left[:, rows])
+        return _Cones(*(column[..., rows] for column in vars(self).values()))
 
     def take(self, rows: Int[np.ndarray, " some"]) -> "_Cones":
-        columns = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)  # faster than indexing
-        return _Cones(*columns, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
+        return _Cones(*(column.take(rows, axis=-1) for column in vars(self).values()))  # faster than indexing
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:

@@ -7,7 +7,7 @@ everything above, both blocked. Arrays of voxel numbers and of coordinates have 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations, product
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_cells, shortened
-from plr_jax._types import FAR_AWAY, ArrayLike, BoxTest, Fractions, Reach
+from plr_jax._types import FAR_AWAY, ArrayLike, Fractions, Reach
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
 
@@ -239,15 +239,10 @@ def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> 
         far = cut_off & (away > FAR_AWAY - np.linalg.norm(side))
 
     # 3. Make tests of boxes: whether a box meets any of some cells, by a summed-area table.
-    def test_of(cells: Cells) -> BoxTest:
-        sums = Sums(np.ascontiguousarray(cells))
+    def meets(sums: Sums, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
+        begin, end = ((domain.lo + x * domain.width - bounds.lo) / bounds.width * shape for x in (lo, hi))
+        ends = np.floor(begin) + padding, np.ceil(end) + padding
+        begin, end = (np.clip(x, 0, reached.shape).astype(int).T for x in ends)
+        return sums.within(begin, end - 1) > 0
 
-        def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-            begin, end = ((domain.lo + x * domain.width - bounds.lo) / bounds.width * shape for x in (lo, hi))
-            ends = np.floor(begin) + padding, np.ceil(end) + padding
-            begin, end = (np.clip(x, 0, reached.shape).astype(int).T for x in ends)
-            return sums.within(begin, end - 1) > 0
-
-        return test
-
-    return Reach(*map(test_of, (reached, cut_off, far)))
+    return Reach(*(partial(meets, Sums(np.ascontiguousarray(cells))) for cells in (reached, cut_off, far)))

@@ -12,7 +12,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import as_cells, as_finite_point, as_numbers, as_points, filled_with_inf, set_fields, shortened
+from plr_jax._arrays import (
+    as_bool,
+    as_cells,
+    as_finite_point,
+    as_numbers,
+    as_points,
+    filled_with_inf,
+    set_fields,
+    shortened,
+)
 from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
@@ -93,8 +102,9 @@ class GridGraph(_CellGraph):
     """Exact length of shortest paths over the cells of a 2-D grid, a `DistanceFn`.
 
     A step leads to one of 4 neighbors and has length 1, or to one of 8, where diagonal steps have length sqrt(2). A
-    diagonal step must not cut a corner: both cells beside it must be free. These are the rules of the Moving AI
-    benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of Robot Runners.
+    diagonal step must not cut a corner, unless it may squeeze: both cells beside it must be free. These are the rules
+    of the Moving AI benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of Robot
+    Runners.
 
     The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
     :func:`scenes.read_map`. So the columns and rows of ``.scen`` files can be used as ``x`` and ``y``. All points of
@@ -104,21 +114,28 @@ class GridGraph(_CellGraph):
         free: Whether each cell is free, ``(rows, columns)``, as :func:`scenes.read_cells` reads a ``.map`` file.
         goal: A point in a free cell, ``(2,)``. None: only :meth:`between` can be used.
         connectivity: Number of neighbors of a cell, 4 or 8.
+        squeeze: Whether diagonal steps may pass beside blocked cells; needs 8 neighbors. Networks on rasters, such as
+            roads of one cell, are commonly connected in this way.
     """
 
     free: Mask
     connectivity: int
+    squeeze: bool
     goal: Float[np.ndarray, "2"] | None
     dim: ClassVar[int] = 2
 
-    def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
+    def __init__(
+        self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4, squeeze: bool = False
+    ):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
             raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
+        if as_bool("squeeze", squeeze) and connectivity == 4:
+            raise ValueError("squeeze=True needs connectivity=8, with diagonal steps, got connectivity=4.")
         if not (cells := as_mask(free)).size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
         set_fields(self, free=cells, _padded=np.pad(cells, 1), bounds=Box(np.zeros(2), cells.shape[::-1]))
-        set_fields(self, connectivity=int(connectivity), goal=None)
+        set_fields(self, connectivity=int(connectivity), squeeze=bool(squeeze), goal=None)
         if goal is not None:
             self._set_goal(goal)
 
@@ -153,12 +170,13 @@ class GridGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> csr_array:
-        # Return the graph of the padded grid, with each edge once. Diagonal steps need both cells beside them free.
+        # Return the graph of the padded grid, with each edge once.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
         edges = []
         for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (self.connectivity == 8):
-            can = free[row + down, column + right] & free[row + down, column] & free[row, column + right]
+            is_passed = free[row + down, column] & free[row, column + right]  # the cells beside a diagonal step
+            can = free[row + down, column + right] & (is_passed | self.squeeze)
             begin = (row * columns + column)[can]
             edges.append((begin, begin + down * columns + right, np.full(len(begin), math.hypot(down, right))))
         begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))

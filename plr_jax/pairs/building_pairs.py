@@ -9,6 +9,8 @@ from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike
 from plr_jax.buildings.floors import OnFloors
 
+Places = tuple[ArrayLike, ArrayLike]  # floors and points
+
 
 @serializable
 @jax.tree_util.register_pytree_node_class
@@ -24,7 +26,7 @@ class BuildingPairs(OnFloors):
     a pytree of the arrays of ``plane``.
     """
 
-    def __call__(self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike]) -> Float[Array, "*batch"]:
+    def __call__(self, x: Places, y: Places) -> Float[Array, "*batch"]:
         """Return the distance from places ``x`` to places ``y``, ``(...)``, costs of links included.
 
         Places are a pair ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
@@ -33,8 +35,6 @@ class BuildingPairs(OnFloors):
         """
         return self.plane(self.floors.in_plane(*x), self.floors.in_plane(*y))
 
-    def bounds(
-        self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike]
-    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    def bounds(self, x: Places, y: Places) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds of the distance, ``(...)`` each; see :meth:`PairPLR.bounds`."""
         return self.plane.bounds(self.floors.in_plane(*x), self.floors.in_plane(*y))

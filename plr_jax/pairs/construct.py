@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array, vstack
 
 from plr_jax._arrays import concatenated, shortened, take_ragged
 from plr_jax.geometry.boundary import Boundary, vertices_near_edges
@@ -25,7 +26,7 @@ from plr_jax.geometry.graph import Arcs
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
-from plr_jax.pairs.thin_parts import FINEST, with_thin_parts
+from plr_jax.pairs.thin_parts import FINEST, VertexOutline, with_thin_parts
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import Limits, grow
@@ -42,9 +43,7 @@ _FINEST_EVER = 2.0**-37
 _SLACK = 8  # number of workspace tolerances by which visibility may err
 
 
-def outline_of(
-    boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float
-) -> tuple[Outline, PointIndices]:
+def outline_of(boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float) -> VertexOutline:
     """Round the boundary of free space to a lattice; also return the vertex index of each point of the outline.
 
     ``origin`` is the position of the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at
@@ -65,8 +64,8 @@ def outline_of(
     apart: Any = shapely.distance(shapely.points(vertices[near]), walls)
     step = lattice_step(vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
     points = np.rint((vertices - origin) / step).astype(np.int64)
-    vertex = edges[order, 0]
-    return Outline(origin, step, points[vertex], first, may_squeeze=False), vertex
+    vertex, is_thin = edges[order, 0], np.zeros(len(order), bool)
+    return Outline(origin, step, points[vertex], first, may_squeeze=False, is_thin=is_thin), vertex
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
@@ -85,7 +84,7 @@ def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " 
     return np.array(order), np.array(first)
 
 
-def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
+def with_open_contacts(outline: Outline, vertex: PointIndices) -> VertexOutline:
     """Open the contacts of an outline (points where obstacles touch), so that paths may pass between the obstacles.
 
     The rings of the new outline follow walls around obstacles instead of around free space. ``vertex`` is the index
@@ -103,8 +102,8 @@ def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline,
     if (outline.is_contact & is_beside_thin).any():
         return outline, vertex
     order, first = _rings_of(outline.following_past_contacts)
-    thin = np.flatnonzero(outline.is_thin[order])
-    return replace(outline, points=outline.points[order], first=first, thin=thin, may_squeeze=True), vertex[order]
+    points, is_thin = outline.points[order], outline.is_thin[order]
+    return replace(outline, points=points, first=first, is_thin=is_thin, may_squeeze=True), vertex[order]
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
@@ -129,35 +128,38 @@ _LEAST_RELATIVE_KEY = 0.25  # share of the largest key above which cells are hal
 _IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer make queries no faster
 
 
-@dataclass(frozen=True, eq=False)
-class Lists:
-    """Cells of the domain, and for each cell the corners at which shortest paths from its points may turn first."""
-
-    cells: Cells
-    # List entries: a cell, by its index, and a corner.
-    cell: Int[np.ndarray, " entries"]  # ascending
-    corner: Int[np.ndarray, " entries"]
-    by_all: Bool[np.ndarray, " entries"]  # whether all of the cell is known to see the corner
-
-    def of_cells(self, rows: Int[np.ndarray, " some"]) -> "Lists":
-        """Return the cells with the indices ``rows``, in this order, and their lists."""
-        entries, cell = take_ragged(np.searchsorted(self.cell, np.arange(len(self.cells) + 1)), rows)
-        return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
-
-    def append(self, other: "Lists") -> "Lists":
-        cell = np.concatenate([self.cell, len(self.cells) + other.cell])
-        return Lists(self.cells.append(other.cells), cell, *concatenated([self, other], "corner", "by_all"))
+# Cells of the domain, and the corners at which shortest paths from their points may turn first: entry (i, c) of the
+# matrix is true if cell i lists corner c.
+Lists = tuple[Cells, csr_array]
+_Keys = Float[np.ndarray, " nodes"]
 
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
     """A growing tree of cells; each node lists the corners at which paths from points of its cell may turn first."""
 
-    lists: Lists
-    key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most the parent's priority
+    cells: Cells
+    lists: csr_array
+    key: _Keys  # priority of halving each node, at most the parent's priority
+    parent_key: _Keys  # priority of the parent, `inf` for the root
     is_leaf: Bool[np.ndarray, " nodes"]
-    parent: Int[np.ndarray, " nodes"]  # -1 for the root
     visible: CellSources  # free convex pieces of each leaf, and the corners that each piece may see
+
+    @staticmethod
+    def of_leaves(cells: Cells, visible: CellSources, parent_key: _Keys, limits: Limits) -> "_ListTree":
+        """Make a node for each cell, none of them halved.
+
+        ``visible`` has the convex pieces of free space in the cells, and the corners that each piece may see.
+        """
+        # A cell's key is the area of its free space, times the number of listed corners that not all of it may see.
+        # It is 0 if the cell may not be halved.
+        cell, corner, by_all = corners_of_cells(visible)
+        shape = len(cells), len(visible.sight.turns.points) // 2  # each corner has two turns, one for each side
+        lists = csr_array((np.ones(len(cell), bool), (cell, corner)), shape)
+        area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
+        doubtful = np.bincount(cell, ~by_all, len(cells))
+        key = np.where((cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
+        return _ListTree(cells, lists, np.minimum(key, parent_key), parent_key, np.ones(len(cells), bool), visible)
 
     def __len__(self) -> int:
         return int(self.is_leaf.sum())
@@ -165,9 +167,8 @@ class _ListTree:
     def leaves_above(self, key: float) -> Lists:
         """Return the leaves of the smaller tree in which only nodes whose priority is above ``key`` are halved."""
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
-        is_halved = ~self.is_leaf & (self.key > key)
-        is_in_tree = np.append(True, is_halved[self.parent[1:]])
-        return self.lists.of_cells(np.flatnonzero(is_in_tree & ~is_halved))
+        leaves = np.flatnonzero((self.parent_key > key) & (self.is_leaf | (self.key <= key)))
+        return self.cells[leaves], self.lists[leaves]
 
 
 def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_bytes: Callable[[Lists], int]) -> Lists:
@@ -178,8 +179,8 @@ def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_by
     computes from the cells and lists, is at most ``limits.max_bytes``.
     """
     # 1. Halve the cells of the largest keys in each round, until halving more makes queries no faster or a limit is
-    #    reached. The sum of keys is the area times the mean number of corners tried in vain (see `_keyed_lists`).
-    tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
+    #    reached. The sum of keys is the area times the mean number of corners tried in vain.
+    tree = _ListTree.of_leaves(Cells.root(2), root, np.full(1, np.inf), limits)
     stop_at = _IN_VAIN * areas(root.pieces).sum()
 
     def next_round(tree: _ListTree) -> _ListTree | None:
@@ -197,7 +198,7 @@ def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_by
     #    key, above which no node is halved.
     def fits(key: float) -> bool:
         leaves = tree.leaves_above(key)
-        return len(leaves.cells) <= most and num_bytes(leaves) <= limits.max_bytes
+        return len(leaves[0]) <= most and num_bytes(leaves) <= limits.max_bytes
 
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
     return tree.leaves_above(keys[bisect_left(keys[:-1], True, key=fits)])
@@ -206,34 +207,17 @@ def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_by
 def _with_halves(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
     """Halve the cells of the leaves with the indices ``nodes`` along their longest axis; list the halves' corners."""
     # The halves of all nodes are appended to the tree: lower, upper, lower, upper, ...
-    cells = tree.lists.cells[nodes]
-    axis = cells.longest_axis(domain)
-    halves = cells.split(axis)
+    axis = tree.cells[nodes].longest_axis(domain)
+    halves = tree.cells[nodes].split(axis)
     leaves = np.flatnonzero(tree.is_leaf)  # `tree.visible` has its cells in this order
     parent = np.repeat(np.searchsorted(leaves, nodes), 2)
     is_upper = np.tile([False, True], len(nodes))
     visible = tree.visible.parts(parent, np.repeat(axis, 2), is_upper, *halves.grown_boxes(domain))
-    lists, key = _keyed_lists(visible, halves, limits)
-    key = np.minimum(key, np.repeat(tree.key[nodes], 2))
-    is_leaf = tree.is_leaf.copy()
-    is_leaf[nodes] = False
-    visible = tree.visible.of_cells(np.flatnonzero(is_leaf[leaves])).append(visible)
-    is_leaf = np.append(is_leaf, np.ones(len(halves), bool))
-    parents = np.append(tree.parent, np.repeat(nodes, 2))
-    return _ListTree(tree.lists.append(lists), np.append(tree.key, key), is_leaf, parents, visible)
-
-
-def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:
-    """Return the list of corners of each cell, and the priority with which the cell should be halved.
-
-    ``visible`` has the convex pieces of free space in the cells, and the corners that each piece may see.
-    """
-    # A cell's key is the area of its free space, times the number of listed corners that not all of it may see. It is
-    # 0 if the cell may not be halved.
-    lists = Lists(cells, *corners_of_cells(visible))
-    area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
-    doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))
-    return lists, np.where((cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
+    new = _ListTree.of_leaves(halves, visible, np.repeat(tree.key[nodes], 2), limits)
+    old = replace(tree, is_leaf=tree.is_leaf & ~np.isin(np.arange(len(tree.is_leaf)), nodes))
+    visible = tree.visible.of_cells(np.flatnonzero(old.is_leaf[leaves])).append(visible)
+    columns = concatenated([old, new], "key", "parent_key", "is_leaf")
+    return _ListTree(tree.cells.append(halves), vstack([tree.lists, new.lists]), *columns, visible)
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
@@ -298,21 +282,19 @@ def construct_stored(
     # The file has 32 bits, so round up.
     rounding = float(np.nextafter(np.float32(2 * moved + change + _SLACK * workspace.tolerance), np.float32(np.inf)))
 
-    # 4. Grow the leaves and their lists.
-    def file_data(lists: Lists) -> PairsFileData:
-        tree = tree_of(lists.cells)
-        place, row = take_ragged(first, lists.corner)
-        listed = order[place]
-        leaf = np.argsort(tree.order)[lists.cell[row]]  # `argsort` inverts the permutation
-        by_leaf = np.lexsort((listed, leaf))
-        columns = tree, leaf[by_leaf], listed[by_leaf], rounding
-        return PairsFileData(domain, outline, point_of, edges, *columns, places=true[len(point_of) :], arcs=arcs)
+    # 4. Grow the leaves and their lists. Entry (c, f) of the matrix is true if corner f of the file is at corner c.
+    corners_at = csr_array((np.ones(num_corners, bool), order, first), (len(first) - 1, num_corners))
+
+    def file_data(leaves: Lists) -> PairsFileData:
+        tree = tree_of(leaves[0])
+        lists = (leaves[1][tree.order] @ corners_at).sorted_indices()
+        return PairsFileData(domain, outline, point_of, edges, tree, lists, rounding, "", true[len(point_of) :], arcs)
 
     most = min(limits.max_leaves, most_leaves(num_corners))
     root = corners_seen(visibility, workspace.triangulation, domain)
 
-    def num_bytes(lists: Lists) -> int:
-        return num_other_bytes + len(file_data(lists).to_bytes())
+    def num_bytes(leaves: Lists) -> int:
+        return num_other_bytes + len(file_data(leaves).to_bytes())
 
     pairs_data = file_data(grow_lists(root, domain, limits, most, num_bytes))
     data = pairs_data.to_bytes()

@@ -30,6 +30,7 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import pytree
+from plr_jax.geometry.graph import connected_groups
 
 # Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
@@ -140,7 +141,7 @@ def taut_corners(free: Grid, connectivity: int) -> tuple[Int[np.ndarray, " cells
             length = np.where(has_others, width, 1) - begin
             is_run = length > 0
             first = sector.cells(corner[is_run], row, begin[is_run])
-            runs.append(np.stack([corner[is_run], first, np.full(len(first), sector.column_step), length[is_run]]))
+            runs.append(np.stack([corner[is_run], first, np.full(len(first), sector.steps[1]), length[is_run]]))
     taut = np.concatenate(runs, axis=1)
     if taut[3].sum() > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
@@ -170,42 +171,38 @@ class _Sector(NamedTuple):
 
     free: Grid  # the view
     blocked: dict[tuple[int, int], Grid]  # corners with a blocked neighbor, by the neighbor's direction in the view
+    place: Int[np.ndarray, " corners"]  # number of each corner's cell in the grid
     row: Int[np.ndarray, " corners"]  # of each corner in the view
     column: Int[np.ndarray, " corners"]
-    origin: int  # number in the grid of the view's first cell
-    row_step: int
-    column_step: int
+    steps: tuple[int, int]  # by which the numbers of cells change from row to row, and from column to column
     is_slanted: bool  # whether the sector is an octant
     keeps_ahead: bool  # whether this one of two adjacent sectors owns the cells straight ahead of a corner
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
         # The numbers, in the grid, of one cell of each corner's sector: in row `aside`, at index `ahead` of the row.
-        column = self.column[corner] + ahead + (aside if self.is_slanted else 0)
-        return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
+        columns = ahead + aside if self.is_slanted else ahead
+        return self.place[corner] + aside * self.steps[0] + columns * self.steps[1]
 
 
 def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
     """Yield the sectors of all corners: four quadrants, or eight octants if steps may be diagonal."""
     # A view is the grid, transposed or not, with rows reversed if flipped, with columns reversed if mirrored.
-    corners = np.nonzero(corner_cells(free))
+    free, place = np.ascontiguousarray(free), np.flatnonzero(corner_cells(free))
+    corners = np.unravel_index(place, free.shape)
     is_slanted = connectivity == 8
     both = (False, True)
     for is_transposed, is_flipped, is_mirrored in product(both[: 1 + is_slanted], both, both):
-        view = free.T if is_transposed else free
-        view = np.ascontiguousarray(view[:: -1 if is_flipped else 1, :: -1 if is_mirrored else 1])
-        (row, column), steps = corners, (free.shape[1], 1)  # steps between rows and columns, in numbers of cells
-        if is_transposed:
-            row, column, steps = column, row, steps[::-1]
-        last_row, last_column = view.shape[0] - 1, view.shape[1] - 1
+        row, column = corners[::-1] if is_transposed else corners
+        view = (free.T if is_transposed else free)[:: -1 if is_flipped else 1, :: -1 if is_mirrored else 1]
+        steps, view = view.strides, np.ascontiguousarray(view)  # a cell takes a byte
         yield _Sector(
             free=view,
             blocked=dict(zip(_DIAGONALS, _blocked_diagonals(view), strict=True)),
-            row=last_row - row if is_flipped else row,
-            column=last_column - column if is_mirrored else column,
-            origin=last_row * steps[0] * is_flipped + last_column * steps[1] * is_mirrored,
-            row_step=-steps[0] if is_flipped else steps[0],
-            column_step=-steps[1] if is_mirrored else steps[1],
+            place=place,
+            row=view.shape[0] - 1 - row if is_flipped else row,
+            column=view.shape[1] - 1 - column if is_mirrored else column,
+            steps=steps,
             is_slanted=is_slanted,
             # Flipped sectors share the cells ahead; mirrored quadrants or transposed octants, the cells aside.
             keeps_ahead=not is_flipped,
@@ -344,8 +341,13 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds two straight legs
     if most < 0:
         raise ValueError(_TOO_LONG)
-    # 1. Build the graph of corners that see each other.
-    edges = _graph_of_corners(free, connectivity)
+    # 1. Build the graph of corners that see each other, with edges as long as on an empty grid.
+    places, ends = np.flatnonzero(corner_cells(free)), corners_in_sight(free, connectivity)
+    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
+    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
+    edges: _Edges = [{} for _ in places]
+    for a, b, length in zip(*(each.tolist() for each in (*ends, lengths)), strict=True):
+        edges[a][b] = edges[b][a] = length
     has_table = len(edges) <= MOST_IN_TABLE
     if has_table and len(edges) * (len(edges) + 1) // 2 * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
@@ -359,26 +361,11 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
                 raise ValueError(_TOO_LONG)
             return labels
         distances = _all_pairs(order, uppers, progress)
-    # 3. Check that all corners of a connected component have distances below `most`. The corner of a component that
-    #    is eliminated last, which has no neighbors left, stands for the component.
-    component = np.arange(len(order))
-    for corner in reversed(order):
-        component[corner] = component[next(iter(uppers[corner]), corner)]
-    if np.count_nonzero(distances < most) != (np.bincount(component, minlength=1) ** 2).sum():
+    # 3. Check that all corners of a connected component have distances below `most`.
+    component = connected_groups(len(places), np.stack(ends))
+    if np.count_nonzero(distances < most) != (np.bincount(component) ** 2).sum():
         raise ValueError(_TOO_LONG)
     return _compressed(distances, connectivity)
-
-
-def _graph_of_corners(free: Grid, connectivity: int) -> _Edges:
-    """Return edges between corners that see each other, as long as on an empty grid."""
-    places = np.flatnonzero(corner_cells(free))
-    ends = corners_in_sight(free, connectivity)
-    (row, column), (other_row, other_column) = (np.divmod(places[end], free.shape[1]) for end in ends)
-    lengths = np.minimum(open_length(connectivity, abs(row - other_row), abs(column - other_column)), FAR)
-    edges: _Edges = [{} for _ in places]
-    for a, b, length in zip(*(column.tolist() for column in (*ends, lengths)), strict=True):
-        edges[a][b] = edges[b][a] = length
-    return edges
 
 
 def _compressed(distances: Int32[np.ndarray, "corners corners"], connectivity: int) -> CornerTable:

@@ -3,9 +3,9 @@
 import re
 import struct
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -65,8 +65,7 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
     return np.logical_xor.accumulate(differs_from_above, axis=0), connectivity
 
 
-@dataclass(frozen=True, eq=False)
-class GridHeader:
+class GridHeader(NamedTuple):
     """C code for a grid: the ``text`` of a C header, and ``table``, the bytes of the file that the code reads."""
 
     text: str
@@ -222,26 +221,16 @@ class GridPairs:
         group_block, cell_block = np.asarray(tables.group_block), np.asarray(tables.cell_block)
         first_block = group_block[np.arange(len(cell_block)) // GROUP] + cell_block  # of each cell
         rows, columns = tables.shape
-        marks = {
-            "SIGHT": sections[f"sight {tables.connectivity}"],
-            "DISTANCES": sections["distances by " + ("table" if isinstance(distances, CornerTable) else "labels")],
-            "ARRAYS": "\n".join(accessors),
-            "ROWS": rows,
-            "COLUMNS": columns,
-            "CELLS": rows * columns,
-            "CONNECTIVITY": tables.connectivity,
-            "SIZE": f"{len(file):,}",
-            "BYTES": len(file),
-            "CRC": int.from_bytes(file[-4:], "little"),
-            "CENTERS": len(distances.between_centers) if isinstance(distances, CornerTable) else 0,
-            "MOST": BLOCK * max(int(np.diff(first_block).max()), 1),  # corners of a cell
-            "FAR": FAR,
-            "UNIT": STRAIGHT[tables.connectivity],
-            "DIAGONAL": DIAGONAL[tables.connectivity],
-            "BLOCK": BLOCK,
-            "GROUP": GROUP,
-            "NAME": name,
-        }
+        sight, kind = f"sight {tables.connectivity}", "table" if isinstance(distances, CornerTable) else "labels"
+        centers = len(distances.between_centers) if isinstance(distances, CornerTable) else 0
+        most = BLOCK * max(int(np.diff(first_block).max()), 1)  # corners of a cell
+        crc = int.from_bytes(file[-4:], "little")
+        # Sections of the template come first: they have marks, too.
+        marks: dict[str, Any] = {"SIGHT": sections[sight], "DISTANCES": sections[f"distances by {kind}"]}
+        marks |= {"ARRAYS": "\n".join(accessors), "SIZE": f"{len(file):,}", "BYTES": len(file), "CRC": crc}
+        marks |= {"ROWS": rows, "COLUMNS": columns, "CELLS": rows * columns, "CONNECTIVITY": tables.connectivity}
+        marks |= {"CENTERS": centers, "MOST": most, "BLOCK": BLOCK, "GROUP": GROUP, "NAME": name}
+        marks |= {"FAR": FAR, "UNIT": STRAIGHT[tables.connectivity], "DIAGONAL": DIAGONAL[tables.connectivity]}
         text = sections["header"]
         for mark, value in marks.items():
             text = text.replace(f"@{mark}@", str(value))
@@ -269,9 +258,9 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
     ``graph`` is a :class:`GridGraph`, with or without a goal, or an array of booleans ``(rows, columns)``, True in
     free cells, for a 4-connected grid. A game map of 2.2 million free cells takes 5 s and 1.0 GB of memory, or 15 s
     and 1.4 GB if it is 8-connected. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises
-    ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected)
-    paths of over a million steps, or if its obstacles have too many corners for a table of 2**30 bytes or for a
-    construction within minutes.
+    ``KeyboardInterrupt``. ``ValueError`` if ``graph`` is not a grid, lets paths squeeze, has more than 2**22 cells or
+    (if 8-connected) paths of over a million steps, or if its obstacles have too many corners for a table of 2**30
+    bytes or for a construction within minutes.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 
@@ -281,6 +270,10 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
         except ValueError as error:
             message = f"graph must be a grid, such as GridGraph(free), or its free cells, got {shortened(graph)}."
             raise ValueError(message) from error
+    if graph.squeeze:
+        raise ValueError(
+            "graph must not have squeeze=True: its paths turn at other corners than those of the tables."
+        )
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     tables = tables_of(graph.free, graph.connectivity)

@@ -9,10 +9,10 @@ length of the path through these two corners. Then try only the blocks with a co
 grid would be shorter than this length.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -280,8 +280,8 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     # A loop over blocks takes as long for a chunk as for its slowest pair.
     is_seen = sees(tables, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
-        length, bits_p, bits_q = _most_likely(tables, p, q, is_seen)
-        return _least_over_blocks(tables, _PendingBlocks(p, bits_p), _PendingBlocks(q, bits_q), length)
+        length, *bits = _most_likely(tables, p, q, is_seen)
+        return _least_over_blocks(tables, (p, q), bits, length)
     # 1. Find the most likely paths. Sort pairs by the number of blocks of the first cell, then of the second cell.
     num_p, num_q = (jnp.minimum(jnp.where(is_seen, 0, _blocks_of(tables, end)[1]), _MOST_SORTED) for end in (p, q))
     chunks = _sorted_chunks(num_p * (_MOST_SORTED + 1) + num_q)
@@ -292,8 +292,7 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     chunks = _sorted_chunks(num_p * num_q)
 
     def of_chunk(chunk: Int32[Array, " size"]) -> Int32[Array, " size"]:
-        pending = _PendingBlocks(p[chunk], bits[0][chunk]), _PendingBlocks(q[chunk], bits[1][chunk])
-        return _least_over_blocks(tables, *pending, length[chunk])
+        return _least_over_blocks(tables, (p[chunk], q[chunk]), [of_cell[chunk] for of_cell in bits], length[chunk])
 
     return length.at[chunks].set(lax.map(of_chunk, chunks))
 
@@ -311,8 +310,8 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tupl
     """Return the length of a likely shortest path for each pair of cells, and the blocks that may have a shorter one.
 
     Blocks are groups of four corners. The second and third result have the blocks of cells ``p`` and ``q``, as bits
-    of an integer (see :class:`_PendingBlocks`). ``is_seen`` says which pairs of cells see each other. For these pairs
-    no path is shorter, so the results have no blocks.
+    of an integer (see :func:`_least_over_blocks`). ``is_seen`` says which pairs of cells see each other. For these
+    pairs no path is shorter, so the results have no blocks.
     """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)
@@ -348,7 +347,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: F
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Bits:
     # A bit for each of a cell's first 32 blocks: whether a path over one of its four corners would be shorter than
-    # `length` on an empty grid, so that a path may be. Later blocks are always tried (`_PendingBlocks.word`).
+    # `length` on an empty grid, so that a path may be. Later blocks are always tried (`_least_over_blocks`).
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -361,51 +360,42 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, jnp.zeros_like(count, jnp.uint32))
 
 
-class _PendingBlocks(NamedTuple):
-    """The blocks (of four corners each) that a search still has to try for each cell, as words of 32 bits.
-
-    A bit is set if its block is still to try. Blocks after the first word are always tried.
-    """
-
-    cells: Cells
-    first_word: _Bits
-
-    def num_words(self, tables: GridTables) -> _Scalar:
-        # As many as the cell with most blocks needs.
-        return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
-
-    def word(self, tables: GridTables, number: _Scalar) -> _Bits:
-        # In later words, the bits of all blocks that exist. A shift by 32 bits is undefined, so a word without bits
-        # is a case of its own.
-        num_bits = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
-        all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
-        return jnp.where(number == 0, self.first_word, all_bits)
-
-    def corners(self, tables: GridTables, number: _Scalar, bits: _Bits) -> _Corners:
-        # The corners of the block of the lowest set bit x: as many zeros are below it as ~x & (x - 1) has ones.
-        place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
-        first, _ = _blocks_of(tables, self.cells)
-        return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
-
-
-def _least_over_blocks(tables: GridTables, of_p: _PendingBlocks, of_q: _PendingBlocks, length: _Lengths) -> _Lengths:
+def _least_over_blocks(
+    tables: GridTables, cells: Sequence[Cells], bits: Sequence[_Bits], length: _Lengths
+) -> _Lengths:
     """Return, for each pair of cells, the length of the shortest path over two corners, but at most ``length``.
 
-    The corners are in pending blocks: one in a block of ``of_p``, which belongs to the first cell, the other in a
-    block of ``of_q``, which belongs to the second cell.
+    Each corner is in a block of four corners of its cell. ``cells`` and ``bits`` have an array for the first cells of
+    the pairs, then one for the second cells. A bit is set if its block, one of the cell's first 32 blocks, must be
+    tried. Later blocks are always tried.
     """
+    blocks = [_blocks_of(tables, end) for end in cells]
+    num_words_p, num_words_q = (-(-count.max() // _WORD) for _, count in blocks)  # as the cell with most blocks needs
+
+    def word(end: int, number: _Scalar) -> _Bits:
+        # In later words, the bits of all blocks that exist. A shift by 32 bits is undefined, so a word without bits
+        # is a case of its own.
+        num_bits = jnp.clip(blocks[end][1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
+        all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
+        return jnp.where(number == 0, bits[end], all_bits)
+
+    def corners_and_legs(end: int, number: _Scalar, bits: _Bits) -> tuple[_Corners, _Corners]:
+        # The corners of the block of the lowest set bit x: as many zeros are below it as ~x & (x - 1) has ones.
+        block = blocks[end][0] + lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
+        corners = looked_up(tables.blocks, jnp.where(bits != 0, block, 0)).astype(jnp.int32)
+        return corners, _legs(tables, cells[end], corners)
 
     # Loop over all pairs of a word of the first cell and a word of the second cell, then over pairs of set bits.
     def with_pair_of_words(pair: _Scalar, length: _Lengths) -> _Lengths:
-        number_p, number_q = jnp.divmod(pair, of_q.num_words(tables))
-        word_p, word_q = of_p.word(tables, number_p), of_q.word(tables, number_q)
+        number_p, number_q = jnp.divmod(pair, num_words_q)
+        word_p, word_q = word(0, number_p), word(1, number_q)
 
         def with_pair_of_bits(state: tuple[_Bits, _Bits, _Lengths]) -> tuple[_Bits, _Bits, _Lengths]:
             # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
             # bit of the first cell, go through all bits of the second cell, then start these again.
             bits_p, bits_q, length = state
-            corners_p, corners_q = of_p.corners(tables, number_p, bits_p), of_q.corners(tables, number_q, bits_q)
-            legs_p, legs_q = _legs(tables, of_p.cells, corners_p), _legs(tables, of_q.cells, corners_q)
+            corners_p, legs_p = corners_and_legs(0, number_p, bits_p)
+            corners_q, legs_q = corners_and_legs(1, number_q, bits_q)
             between = tables.distances.between(corners_p[:, :, None], corners_q[:, None])
             total = (legs_p[:, :, None] + between + legs_q[:, None]).min(axis=(1, 2))
             length = jnp.where((bits_p != 0) & (bits_q != 0), jnp.minimum(length, total), length)
@@ -417,7 +407,7 @@ def _least_over_blocks(tables: GridTables, of_p: _PendingBlocks, of_q: _PendingB
         start = word_p, word_q, length
         return lax.while_loop(lambda state: ((state[0] != 0) & (word_q != 0)).any(), with_pair_of_bits, start)[2]
 
-    return lax.fori_loop(0, of_p.num_words(tables) * of_q.num_words(tables), with_pair_of_words, length)
+    return lax.fori_loop(0, num_words_p * num_words_q, with_pair_of_words, length)
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:

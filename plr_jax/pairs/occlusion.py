@@ -167,11 +167,9 @@ def near_entries(
     """
     # Leaves ascend in `leaf`, entries in the result. A few of the walls found are farther away. Corners are handled
     # in blocks, to save memory.
-    by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort: there are at most 2**13 corners
-    first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))  # of each corner in `by_corner`
     near_pairs, count = [np.zeros((2, 0), np.int32)], 0
     for block in parts(np.full(len(corners), len(walls)), _BLOCK):  # slices of corners
-        entries = np.sort(by_corner[first[block.start] : first[block.stop]])
+        entries = np.flatnonzero((listed >= block.start) & (listed < block.stop))
         corner = listed[entries]
         near = _near_entries(boxes, leaf[entries], corner - block.start, corners[corner], walls, margin)
         if near is None or np.bincount(near[0]).max(initial=0) > most or count + len(near[0]) > _MOST_PAIRS:

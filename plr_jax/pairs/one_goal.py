@@ -7,7 +7,6 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import take_ragged
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr._file import DecodedFile
@@ -99,9 +98,9 @@ def _best_sources(
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
     distance[is_free] = pairs(x[is_free], sources.points[0])
     # 2. Pair each cell with its sources, first with the goal, source 0.
-    entries, cell = take_ragged(np.searchsorted(stored.leaf, np.arange(len(stored.cells) + 1)), leaf)
+    cell, corner = stored.lists[leaf].nonzero()
     cell = np.concatenate([np.arange(len(cells)), cell])
-    source = np.concatenate([np.zeros(len(cells), np.int64), 1 + stored.listed[entries]])
+    source = np.concatenate([np.zeros(len(cells), np.int64), 1 + corner])
     # 3. Compare each pair's cone with the distances at the samples, and take the pair of least error of each cell.
     cone = sources.distances[source, None] + np.linalg.norm(x[cell] - sources.points[source, None], axis=2)
     with np.errstate(invalid="ignore"):

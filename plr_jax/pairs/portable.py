@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -177,9 +178,9 @@ class NumpyPairs:
         #    which all distances and coordinates are `inf`.
         count, corners = len(stored.cells), stored.num_corners
         self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
-        lengths = np.bincount(stored.leaf, minlength=count)
+        lengths = np.diff(stored.lists.indptr)
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
-        self._lists[ragged_indices(lengths)] = stored.listed
+        self._lists[ragged_indices(lengths)] = stored.lists.indices
         self._distances, self._has_arcs = distances_table(stored, corners + 1), len(stored.arcs.start) > 0
         # 3. Walls and corners, moved in three ways, and what both bounds leave for errors.
         self._obstacles = MovedObstacles.of(stored, is_certain=False)
@@ -394,16 +395,6 @@ def js_pairs_reader() -> str:
 
 def js_pairs_module(data: bytes, domain: Box) -> str:
     """Return a JavaScript module with the file ``data`` and functions that answer as :meth:`PairPLR.numpy` does."""
-    return f"""\
-// The distance between any two points of {format_domain(domain)}, by plr_jax.
-//
-// distance([x, y], [x, y]): Infinity outside this closed domain and where no path leads, NaN where a coordinate is.
-// waypoint(from, to): where to go straight to from a point towards another one; NaN where no way leads.
-// bounds([x, y], [x, y]): proven bounds of the distance between points of free space, [lower, upper].
-// Answers are those of pairs.numpy(), bit for bit.
-
-{js_file_reader()}
-{js_pairs_reader()}
-const file = Uint8Array.from(atob("{b64encode(data).decode()}"), letter => letter.charCodeAt(0));
-export const {{ distance, waypoint, bounds }} = pairsReader(readPairs(readContainer(file), file.length));
-"""
+    template = Template(Path(__file__).with_name("pairs_module.js").read_text(encoding="utf-8"))
+    readers, file = f"{js_file_reader()}\n{js_pairs_reader()}", b64encode(data).decode()
+    return template.substitute(DOMAIN=format_domain(domain), READERS=readers, FILE=file)

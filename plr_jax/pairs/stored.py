@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import NO_ARCS, Arcs, Graph
 from plr_jax.geometry.vectors import left_normal, orientation, pseudo_angle
@@ -22,7 +22,6 @@ MITRE = 4.0  # most that a point moves if walls move by 1; tips may move farther
 _COUNT_BITS = 32  # of the number of rings in a file
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 Vectors = Int[np.ndarray, "points 2"]
-Entries = Int[np.ndarray, " entries"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +37,8 @@ class Outline:
     points: Int[np.ndarray, "points 2"]  # in lattice steps
     first: Int[np.ndarray, " rings_plus_one"]  # index of the first point of each ring
     may_squeeze: bool  # whether a path may pass contacts, points where obstacles touch
-    # Walls that may leave their obstacle when they move back. Lower bounds ignore these walls.
-    thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    # Whether each wall may leave its obstacle when it moves back. Lower bounds ignore such walls.
+    is_thin: Bool[np.ndarray, " points"]
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "points 2"]:
@@ -52,11 +51,6 @@ class Outline:
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
-
-    @property
-    def is_thin(self) -> Bool[np.ndarray, " points"]:
-        """Mask of the thin walls."""
-        return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, " points"]:
@@ -196,7 +190,7 @@ class Outline:
         #     0-----------------1
         #     |  start---->end  |      corners, `aside` from the wall's line, `along` beyond its ends
         #     3-----------------2
-        start, end = self.positions[self.thin], self.positions[self.following[self.thin]]
+        start, end = self.positions[self.is_thin], self.positions[self.following[self.is_thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
         aside = distance * left_normal(end - start)
@@ -281,7 +275,7 @@ def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
     first = np.concatenate([[0], np.cumsum(sizes)])
     # Coordinates are stored as differences from the point before, across rings.
     points = np.stack([np.cumsum(body.read_signed(int(first[-1]))) for _ in range(2)], axis=1)
-    return Outline(origin, float(step), points, first, may_squeeze)
+    return Outline(origin, float(step), points, first, may_squeeze, np.zeros(len(points), bool))
 
 
 _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
@@ -328,10 +322,8 @@ class PairsFileData:
     corner: Int[np.ndarray, " corners"]  # outline points that are corners, ascending
     edges: Int[np.ndarray, "edges 2"]  # pairs of corners that a shortest path may join straight, the smaller first
     tree: Tree
-    # List entries: a leaf, and a corner where shortest paths from the leaf may turn first. Sorted by leaf, then
-    # corner.
-    leaf: Entries
-    listed: Entries
+    # Entry (i, c) is true if leaf i lists corner c: shortest paths from the leaf may turn first there. Sorted.
+    lists: csr_array
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
     # Points of free space at which paths may turn in any direction, such as ends of stairs. They count as corners,
@@ -364,7 +356,7 @@ class PairsFileData:
         is_joined[j * (j - 1) // 2 + i] = True
         num_pairs = comb(len(self.corner), 2)  # the first pairs, without places
         first.write_set(is_joined[:num_pairs])
-        if len(self.outline.thin) or len(self.places):
+        if self.outline.is_thin.any() or len(self.places):
             first.write_set(self.outline.is_thin)
         if len(self.places):
             first.write(np.array([len(self.places), len(self.arcs.start)]), _COUNT_BITS)
@@ -376,7 +368,7 @@ class PairsFileData:
         lists, tree = BitWriter(), self.tree
         write_tree(lists, tree)
         is_listed = np.zeros((len(tree.child), count), bool)  # by node and corner
-        is_listed[tree.node_of_leaf[self.leaf], self.listed] = True
+        is_listed[tree.node_of_leaf] = self.lists.toarray()
         for split in reversed(tree.splits):
             is_listed[split] = is_listed[tree.child[split]] | is_listed[tree.child[split] + 1]
         lists.write_set(~is_listed[0])
@@ -411,9 +403,8 @@ class PairsFileData:
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         if (count := len(corner)) > MOST_CORNERS:
             raise ValueError(f"it may have at most {MOST_CORNERS} corners, got {count}")
-        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Solved for j with i =
-        #    0, this gives j up to rounding, which the next two lines correct. Files of release 0.1 may have the pairs
-        #    in a layer of their own, with a rounding error that counts instead.
+        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Files of release 0.1
+        #    may have the pairs in a layer of their own, with a rounding error that counts instead.
         if others:
             if not body.at_end():
                 raise ValueError("it holds more data than its outline needs")
@@ -422,25 +413,24 @@ class PairsFileData:
         number = body.read_members(num_pairs := comb(count, 2))
         places, arcs = np.zeros((0, 2)), NO_ARCS
         if not body.at_end():
-            outline = replace(outline, thin=np.flatnonzero(body.read_set(len(outline.points))))
+            outline = replace(outline, is_thin=body.read_set(len(outline.points)))
         if not body.at_end():
             places, arcs = _read_places(body, count)
             count += len(places)
             number = np.append(number, num_pairs + body.read_members(comb(count, 2) - num_pairs))
-        j = ((1 + np.sqrt(1 + 8 * number.astype(np.float64))) // 2).astype(np.int64)
-        j -= j * (j - 1) // 2 > number
-        j += j * (j + 1) // 2 <= number
-        edges = np.stack([number - j * (j - 1) // 2, j], axis=1)
+        first_number = np.arange(count) * np.arange(-1, count - 1) // 2  # of the pairs of each j
+        j = np.searchsorted(first_number, number, side="right") - 1
+        edges = np.stack([number - first_number[j], j], axis=1)
         if not body.at_end():
             raise ValueError("it holds more data than its corners need")
         # 3. Read the tree and the leaves' lists.
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
             raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
-        entries = _read_lists(lists, tree, count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
+        listed = _read_lists(lists, tree, count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
         if not lists.at_end():
             raise ValueError("it holds more data than its leaves need")
-        return PairsFileData(domain, outline, corner, edges, tree, *entries, rounding, container.label, places, arcs)
+        return PairsFileData(domain, outline, corner, edges, tree, listed, rounding, container.label, places, arcs)
 
 
 def most_leaves(num_corners: int) -> int:
@@ -468,34 +458,24 @@ def _read_rounding(body: BitReader) -> float:
     return rounding
 
 
-def _read_lists(body: BitReader, tree: Tree, count: int, most: int) -> tuple[Entries, Entries]:
-    """Decode the lists of corners; return the leaf and the corner of each list entry as indices, sorted by leaf.
+def _read_lists(body: BitReader, tree: Tree, count: int, most: int) -> csr_array:
+    """Decode the corners that each leaf lists: see :attr:`PairsFileData.lists`.
 
     ``count`` is the number of corners. ``ValueError`` if the lists have more than ``most`` entries.
     """
     # Level by level, each half of a split node takes over its parent's list, less the corners that the file says it
-    # drops. `nodes` are the nodes of a level. Entry k of the level has the node `nodes[row[k]]` and `corner[k]`.
-    corner = np.flatnonzero(~body.read_set(count))
-    nodes, row = np.zeros(1, np.int64), np.zeros(len(corner), np.int64)  # the root alone
-    entries_of_leaves, num_of_leaves = [], 0
-    for split in tree.splits:
-        # 1. Set the lists of leaves aside.
-        place = tree.leaf_of_node[nodes[row]]  # -1 for nodes that are split
-        entries_of_leaves.append((place[place >= 0], corner[place >= 0]))
-        num_of_leaves += len(entries_of_leaves[-1][0])
-        # 2. Copy the list of each split node to both halves, in the order lower, upper.
-        halves = tree.halves(split)
-        first = np.searchsorted(row, np.arange(len(nodes) + 1))
-        parent = np.repeat(np.searchsorted(nodes, split), 2)
-        if num_of_leaves + int((first[parent + 1] - first[parent]).sum()) > most:
+    # drops.
+    is_listed = np.zeros((len(tree.child), count), bool)  # by node and corner
+    is_listed[0] = ~body.read_set(count)
+    num_entries = is_listed[0].sum()  # of the leaves so far and of the nodes of a level
+    for split in filter(len, tree.splits):
+        by_half = is_listed[np.repeat(split, 2)]
+        num_inherited = int(by_half.sum())
+        num_entries += num_inherited // 2
+        if num_entries > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
-        inherited, row = take_ragged(first, parent)
-        corner = corner[inherited]
-        # 3. Drop corners.
-        if len(halves):
-            is_kept = ~body.read_set(len(corner))
-            row, corner = row[is_kept], corner[is_kept]
-        nodes = halves
-    leaf, listed = (np.concatenate(column) for column in zip(*entries_of_leaves, strict=True))
-    order = np.argsort(leaf, kind="stable")
-    return leaf[order], listed[order]
+        is_dropped = body.read_set(num_inherited)
+        by_half[by_half] = ~is_dropped
+        num_entries -= is_dropped.sum()
+        is_listed[tree.halves(split)] = by_half
+    return csr_array(is_listed[tree.node_of_leaf])

@@ -86,12 +86,12 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     obstacles, upper_obstacles = (MovedObstacles.of(stored, is_certain) for is_certain in (False, True))
     lower_walls = MovedObstacles.of(stored, False, for_lower_bounds=True).walls
     # 1. Pad the lists to one length, a multiple of eight.
-    lengths = np.bincount(stored.leaf, minlength=rows)
+    lengths = np.diff(stored.lists.indptr)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), num_corners, np.uint16)
-    listed[ragged_indices(lengths)] = stored.listed
+    listed[ragged_indices(lengths)] = stored.lists.indices
     # 2. Find walls near listed corners.
     lo, hi = cells.grown_boxes(domain)
-    entries = stored.leaf, stored.listed
+    entries = stored.lists.nonzero()
     near = NearWalls.of((lo, hi), *entries, obstacles.corners[:-1], obstacles.walls, MARGIN * width, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:

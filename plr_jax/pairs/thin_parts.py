@@ -21,25 +21,25 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from plr_jax.pairs.portable import MARGIN, RECEDING
 from plr_jax.pairs.stored import MITRE, Outline
 
 FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queries may not resolve sharper tips
+# An outline, and the index of the boundary vertex at each of its points, -1 for none.
+VertexOutline = tuple[Outline, Int[np.ndarray, " _"]]
 _Spans = list[tuple[float, float]]  # intervals of a wall, as distances from its start
 
 
-def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, " thin"]:
-    """Return the indices of thin walls: moved into their obstacle, these walls come near free space."""
+def are_thin(outline: Outline, free_space: Any, width: float) -> Bool[np.ndarray, " walls"]:
+    """Return whether each wall is thin: moved into its obstacle, a thin wall comes near free space."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, moves_all=True).reshape(-1, 2, 2))
-    return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
+    return shapely.dwithin(free_space, walls, MARGIN * width)
 
 
-def with_thin_parts(
-    outline: Outline, vertex: Int[np.ndarray, " points"], free_space: Any, width: float
-) -> tuple[Outline, Int[np.ndarray, " found_points"]]:
+def with_thin_parts(outline: Outline, vertex: Int[np.ndarray, " _"], free_space: Any, width: float) -> VertexOutline:
     """Cut walls that are thin only in part, and mark the thin walls of the outline.
 
     ``vertex`` is the index of the boundary vertex at each point of the outline. Return the new outline, and the
@@ -70,27 +70,27 @@ def with_thin_parts(
 
     # 3. List the points of the new outline: ring, place, vertex, and whether the wall that begins there is thin.
     rows = []
-    for ring in range(len(outline.first) - 1):
-        for i in range(outline.first[ring], outline.first[ring + 1]):
-            own = spans.get(i, [])
-            is_thin = bool(own) and own[0][0] <= 0
-            rows.append((ring, places[i], vertex[i], is_thin))
-            # A sharp tip between thin walls gets a second point, a neighbor on the lattice: a query that rounding
-            # puts on or across a thin wall sees the tip's corner on its own side. Seen along `ahead`, the ring
-            # reaches the tip on its left and leaves it on its right, so the second point is on the right.
-            if is_thin and is_sharp[i] and previous[i] in thin_at_end:
-                rows.append((ring, free_neighbor(places[i], ahead[i][1], -ahead[i][0]), vertex[i], True))
-                taken.add(rows[-1][1])
-            # Cut the wall inside: at the start of a span, a thin wall begins, at its end a thick one.
-            ends = [(end, k == 0) for span in own for k, end in enumerate(span) if 0 < end < lengths[i]]
-            for distance, is_thin in ends:
-                cut = np.rint(outline.points[i] + distance / lengths[i] * onward[i] / outline.step).astype(int)
-                if (place := tuple(cut.tolist())) not in taken:
-                    rows.append((ring, place, -1, is_thin))
-                    taken.add(place)
-    rings, points, vertex, thin = (np.array(column) for column in zip(*rows, strict=True))
-    outline = replace(outline, points=points, first=np.searchsorted(rings, np.arange(len(outline.first))))
-    return replace(outline, thin=np.union1d(np.flatnonzero(thin), thin_walls(outline, free_space, width))), vertex
+    for i, ring in enumerate(np.repeat(np.arange(len(outline.first) - 1), np.diff(outline.first))):
+        own = spans.get(i, [])
+        is_thin = bool(own) and own[0][0] <= 0
+        rows.append((ring, places[i], vertex[i], is_thin))
+        # A sharp tip between thin walls gets a second point, a neighbor on the lattice: a query that rounding
+        # puts on or across a thin wall sees the tip's corner on its own side. Seen along `ahead`, the ring
+        # reaches the tip on its left and leaves it on its right, so the second point is on the right.
+        if is_thin and is_sharp[i] and previous[i] in thin_at_end:
+            rows.append((ring, free_neighbor(places[i], ahead[i][1], -ahead[i][0]), vertex[i], True))
+            taken.add(rows[-1][1])
+        # Cut the wall inside: at the start of a span, a thin wall begins, at its end a thick one.
+        ends = [(end, k == 0) for span in own for k, end in enumerate(span) if 0 < end < lengths[i]]
+        for distance, is_thin in ends:
+            cut = np.rint(outline.points[i] + distance / lengths[i] * onward[i] / outline.step).astype(int)
+            if (place := tuple(cut.tolist())) not in taken:
+                rows.append((ring, place, -1, is_thin))
+                taken.add(place)
+    rings, points, vertex, is_thin = (np.array(column) for column in zip(*rows, strict=True))
+    first = np.searchsorted(rings, np.arange(len(outline.first)))
+    outline = replace(outline, points=points, first=first, is_thin=is_thin)
+    return replace(outline, is_thin=is_thin | are_thin(outline, free_space, width)), vertex
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _Spans]:
@@ -108,8 +108,8 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _S
     #    more than `_NEEDLE * reach`), or come near free space.
     is_turned = (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
     is_needle = np.linalg.norm(moved[:, 0] - start, axis=1) > _NEEDLE * reach
-    thin = np.flatnonzero(is_turned | is_needle | is_needle[following])
-    thin = np.union1d(thin, thin_walls(outline, free_space, width)).tolist()
+    is_thin = is_turned | is_needle | is_needle[following] | are_thin(outline, free_space, width)
+    thin = np.flatnonzero(is_thin).tolist()
     # 2. Find their thin parts, with `2 * reach` on either side.
     near_free: Any = shapely.buffer(free_space, 2 * MARGIN * width) if thin else None
     spans: dict[int, _Spans] = {}

@@ -10,12 +10,12 @@ from functools import partial
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._problem import JointPath, Problem, makespan, motion_costs, path_cost
+from plr_jax._problem import ROUNDING, JointPath, Problem, makespan, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import SearchBudget, Solution, Stats, Status, make_solution, straight_line_bound
-from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations, robot_kinds
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations, robot_kinds
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.searches import SEARCHES, BLOptions, Searches, num_bytes, require_problem_and_options
 from plr_jax.planners.sequential import sequential_path, with_early_departures
@@ -47,7 +47,6 @@ _LEAST_WEIGHT = 1.1  # smaller weights help less than a finer lattice
 _WAITING_SHARE = 1 / 4  # rows added for waiting when robots are replanned, as a share of the path's rows
 _NEAR_LEAST = 1.1  # path cost over the robots' least costs up to which replanning is skipped
 _GAIN = 2e-3  # replanning of neighborhoods stops if it saves a smaller share of the cost
-_ROUNDING = 1e-9
 _SEQUENTIAL = "sequential"
 _FEW_LATTICES = 3  # lattices that are tried for a cheaper path than the sequential one
 _SEQUENTIAL_ROWS = 100  # rows into which the sequential path is divided before it is shortened
@@ -170,8 +169,8 @@ class Run:
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
-            self.lower_bound = max(self.lower_bound, (1 - _ROUNDING) * cost if cost < math.inf else 0.0)
-        accepted_cost = (1 + _ROUNDING) * self.lower_bound
+            self.lower_bound = max(self.lower_bound, (1 - ROUNDING) * cost if cost < math.inf else 0.0)
+        accepted_cost = (1 + ROUNDING) * self.lower_bound
         if self.options.cost_factor < math.inf:
             self.accepted_cost = accepted_cost = self.options.cost_factor * accepted_cost
         return Status.SOLVED if self.cost <= accepted_cost else None
@@ -281,7 +280,7 @@ class Run:
         """
         straight = motion_costs(self.problem, self.problem.starts, self.problem.goals)
         try:
-            joint = build_lattices(self.problem, step, self.test)
+            joint = JointLattice(self.problem, step, self.test)
             if not np.isfinite(joint.least_costs).all():
                 return None
             # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
@@ -289,7 +288,7 @@ class Run:
                 half = joint.step / 2
                 if _num_motions_to_test(self.problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
                     break
-                finer = build_lattices(self.problem, half, self.test)
+                finer = JointLattice(self.problem, half, self.test)
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
                     break  # also if a goal is cut off in the finer lattice, whose cost is then inf
                 joint = finer
@@ -374,7 +373,7 @@ class Run:
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
         cost = path_cost(self.problem, path)
-        factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
+        factor = (1 + ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
         self.record(path, searches.ended_by, factor)
         return path, factor
 
@@ -410,7 +409,7 @@ def first_step(problem: Problem, fits: Callable[[float], bool] = lambda step: Tr
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
     # 3. Robots that fill most of the free area may move between cells of one robot each, as in a sliding puzzle.
     if may_pack and len(widths) * widths.min() ** 2 > _PACKED * area:
-        step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
+        step = extent / max(1, math.floor(extent / widths.max() + ROUNDING))
     # 4. Enlarge the cells while the lattices do not fit or their motions take long to test.
     while step < _COARSEST * extent and (_num_motions_to_test(problem, step) > _MAX_FIRST_TESTS or not fits(step)):
         step *= _REFINEMENT

@@ -9,7 +9,6 @@ step. References: Okumura et al., Artificial Intelligence 310, 2022 (PIBT); Okum
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import batches
+from plr_jax._problem import ROUNDING
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, Table
@@ -37,7 +37,6 @@ _IDLE_STEPS = 8  # length of the first turn, in steps per robot without progress
 _NODE_BYTES = 1_500  # bytes of a node
 _ROBOT_BYTES = 60  # bytes of each robot of a node
 _CONSTRAINT_BYTES = 100  # bytes of the constraints of one step
-_ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
@@ -232,8 +231,7 @@ class PIBT:
         return True
 
 
-@dataclass(eq=False)
-class Node:
+class Node(NamedTuple):
     """A joint state that the search has reached, with the steps of the team that are still to try from this state."""
 
     state: JointNode
@@ -334,7 +332,7 @@ class LaCAM:
             self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
                 self.goal_node = node
-            if (estimate := float(self.moves.estimates(state).sum())) < (1 - _ROUNDING) * self.least_estimate:
+            if (estimate := float(self.moves.estimates(state).sum())) < (1 - ROUNDING) * self.least_estimate:
                 self.least_estimate = estimate
                 self.num_idle = 0
         self.open.append(node)

@@ -16,7 +16,7 @@ r"""Lattices: the configurations that robots visit in a search, and the motions 
    cell, motions into the cell lead to the goal, and an additional primitive connects the two.
 3. :class:`Kind` is the resulting graph of nodes and motions, in the two forms that searches need: as a table by node
    and primitive, and as lists of edges. It also finds costs-to-go and costs-to-come.
-4. :class:`Lattice` is the graph as one robot sees it, and :class:`JointLattice` holds the lattices of a team.
+4. :class:`Lattice` is the graph as one robot sees it, and :class:`JointLattice` builds the lattices of a team.
 """
 
 import math
@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import batches, ragged_indices, require_time
+from plr_jax._arrays import batches, ragged_indices, require_time, take_ragged
 from plr_jax._problem import Problem, straight_costs
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import Configurations, IgnoredByCache, MotionTest, motion_test
@@ -302,10 +302,9 @@ class Kind:
         into_terminals = terminals.begin[enters], terminals.node[enters[:2]], terminals.cost[enters]
         dummy = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_terminals, dummy, strict=True))
-        # 2. Split the edges into terminals: `terminal_edges` has an array of edges for each robot.
+        # 2. Find the first edge into the terminals of each robot, and the end of the last robot's edges.
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
-        first = np.searchsorted(enters[0], np.arange(1, len(self.members)))  # of each robot but the first one
-        self.terminal_edges = np.split(np.arange(self.num_shared, self.num_edges), first)
+        self.first_terminal_edge = self.num_shared + np.searchsorted(enters[0], np.arange(len(self.members) + 1))
         # 3. Find the farthest that a motion takes the body from the motion's begin.
         x, y = (self.q[self.end] - self.q[self.begin])[:, :2].T
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
@@ -339,7 +338,7 @@ class Kind:
         #     dummy    dummy          dummy: room for a terminal edge
         #
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))  # of the edges sorted by their ends
-        size = max(int(rank.max()) + 1, 1 + max(len(edges) for edges in self.terminal_edges))
+        size = 1 + max(int(rank.max()), int(np.diff(self.first_terminal_edge).max()))
         into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = np.argsort(self.end[: self.num_shared], kind="stable")
         return into
@@ -350,7 +349,7 @@ class Kind:
         The index of the dummy edge, of infinite cost, fills up the columns.
         """
         into = self._shared_edges_into_nodes.copy()
-        terminal_edges = self.terminal_edges[row]
+        terminal_edges = np.arange(*self.first_terminal_edge[row : row + 2])
         into[:, self.terminals.cell[row]] = self.num_edges  # the robot's terminals replace these nodes
         for node in self.terminals.node[row]:
             edges = terminal_edges[self.end[terminal_edges] == node]
@@ -387,8 +386,7 @@ class Kind:
         num_nodes, searches = len(self.q), np.arange(len(rows))
         goals = self.terminals.node[rows, 1]
         # 1. Find the edges into each goal.
-        terminal_edges = np.concatenate([self.terminal_edges[row] for row in rows])
-        search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])  # of each terminal edge
+        terminal_edges, search = take_ragged(self.first_terminal_edge, rows)
         into_goal = self.end[terminal_edges] == goals[search]
         # 2. Build the graph of reversed edges, and search from all extra nodes.
         shared = self._cheapest_shared_edges
@@ -432,18 +430,23 @@ class Lattice:
         return self._motions[1]
 
 
-@dataclass(frozen=True, eq=False)
 class JointLattice:
     """The lattices of all robots, grouped by kind (robots of equal shape and rotation weight), and a motion test.
 
-    A *joint state* has a node for each robot, and a joint motion a primitive for each robot.
+    A *joint state* has a node for each robot, and a joint motion a primitive for each robot. Cells are at most
+    ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot by more than
+    ``step``, and is at most an eighth of a full turn. Robots of one kind share arrays.
     """
 
-    problem: Problem
-    step: float
-    kinds: list[Kind]
-    lattices: list[Lattice]
-    test: JointMotionTest
+    def __init__(self, problem: Problem, step: float, test: JointMotionTest):
+        self.problem, self.step, self.test = problem, step, test
+        self.kinds: list[Kind] = []
+        for (robot, weight), members in robot_kinds(problem).items():
+            starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
+            grid = cell_grid(problem.workspace, robot, weight, step, test.deadline)
+            self.kinds.append(grid.with_terminals(robot, np.array(members), starts, goals))
+        lattices = {i: Lattice(kind, row) for kind in self.kinds for row, i in enumerate(kind.members.tolist())}
+        self.lattices = [lattices[i] for i in range(len(problem.robots))]
 
     @cached_property
     def costs_to_go(self) -> list[Table]:
@@ -502,18 +505,3 @@ def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)
     return kinds
-
-
-def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share arrays.
-
-    Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
-    by more than ``step``, and is at most an eighth of a full turn.
-    """
-    kinds = []
-    for (robot, weight), members in robot_kinds(problem).items():
-        starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
-        grid = cell_grid(problem.workspace, robot, weight, step, test.deadline)
-        kinds.append(grid.with_terminals(robot, np.array(members), starts, goals))
-    lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
-    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(problem.robots))], test)

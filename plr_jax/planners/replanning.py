@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
-from plr_jax._problem import JointPath, Problem, motion_costs, row_times, settled_pose, straight_costs
+from plr_jax._problem import ROUNDING, JointPath, Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
@@ -21,7 +21,6 @@ from plr_jax.planners.through_time import ROWS_PER_STEP, Motion, Timetable, plan
 NextGoalFn: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
 PlanFn: TypeAlias = Callable[[Problem], Solution]
 _DEFAULT = BLOptions()
-_ROUNDING = 1e-9
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
 # For `replan`:
 _MOST_STATES = 20_000  # most states expanded for one robot
@@ -111,7 +110,7 @@ def replan(
     lower_bound = max(options.lower_bound, straight_line_bound(problem))
     repaired = make_solution(problem, path, lower_bound, status, stats, problem.starts[None].copy())
     # 4. If there is no path, or only one that costs too much, plan the whole team.
-    if status is Status.SOLVED and repaired.cost > (1 + _ROUNDING) * options.cost_factor * lower_bound:
+    if status is Status.SOLVED and repaired.cost > (1 + ROUNDING) * options.cost_factor * lower_bound:
         status = Status.EXHAUSTED
     if status is not Status.EXHAUSTED or fixed:
         return replace(repaired, status=status)
@@ -246,9 +245,8 @@ class _LifelongTeam:
         # The problem's goals are the possible ones: unlike the requested goals, they never overlap.
         self.problem, self.options, self.plan = problem, options, plan
         self.path = problem.starts[None]  # from now on
-        self.requested_goals = problem.starts.copy()  # keeps the heading of robots without one
-        for i, robot in enumerate(problem.robots):
-            self.requested_goals[i, : robot.dof] = problem.goals[i, : robot.dof]
+        has_axis = np.arange(problem.dof) < np.array([[robot.dof] for robot in problem.robots])
+        self.requested_goals = np.where(has_axis, problem.goals, problem.starts)  # robots without a heading keep it
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
         self.served: list[tuple[int, int, Float[np.ndarray, " dof"]]] = []  # robot, row and goal

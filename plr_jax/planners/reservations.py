@@ -12,6 +12,7 @@ from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import require_time, take_ragged
+from plr_jax._problem import ROUNDING
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
@@ -24,7 +25,6 @@ _ENTRY_BYTES = 200  # bytes of an edge whose colliding edges are cached, without
 _EDGE_BYTES = 2  # bytes of an edge, per step
 _NODE_BYTES = 8  # bytes of a node while a robot is replanned, per step
 # Replanning:
-_ROUNDING = 1e-9
 _GAIN = 1e-2  # rounds of replanning stop if one saves a smaller share of the cost
 _NEIGHBORHOOD = 5  # robots in a neighborhood
 Edges: TypeAlias = Int[np.ndarray, " _"]
@@ -121,7 +121,7 @@ class ReservationTable:
             self.memory_use.add(self._costs_to_come[i].nbytes)
         least = self._costs_to_come[i] + self.joint.costs_to_go[i]
         least[[start, goal]] = 0.0  # always keep both
-        nodes = np.flatnonzero(least <= max_cost * (1 + _ROUNDING))
+        nodes = np.flatnonzero(least <= max_cost * (1 + ROUNDING))
         index = np.full(len(least), len(nodes))  # of each node among `nodes`; `len(nodes)` for nodes left out
         index[nodes] = np.arange(len(nodes))
         # 2. Dynamic programming: reached[step, n] is the least cost to be at nodes[n] after so many steps. The last
@@ -137,7 +137,7 @@ class ReservationTable:
             if self.budget.spent():
                 return False
         n = index[goal]
-        if not reached[-1, n] <= max_cost * (1 + _ROUNDING):
+        if not reached[-1, n] <= max_cost * (1 + ROUNDING):
             return False
         # 3. Go back from the goal along the edges of least cost.
         self.cost[i] = reached[-1, n]
@@ -165,7 +165,7 @@ def replan_each(table: ReservationTable) -> None:
         for i in np.argsort(table.least_costs - table.cost).tolist():
             if table.budget.spent():
                 return
-            if table.cost[i] > table.least_costs[i] * (1 + _ROUNDING):
+            if table.cost[i] > table.least_costs[i] * (1 + ROUNDING):
                 table.reserve([i], -1)
                 table.replan(i, float(table.cost[i]))
                 table.reserve([i])
@@ -189,7 +189,7 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
                 return False
             table.reserve([i])
             reserved.append(i)
-        return bool(table.cost[robots].sum() < (1 - _ROUNDING) * cost.sum())
+        return bool(table.cost[robots].sum() < (1 - ROUNDING) * cost.sum())
     finally:
         # Unless all robots found paths, restore the old ones. Also after an error of `reserve`, since the caller uses
         # `table.state`, which must be free of collisions. (Edges that collide with old paths are cached, so reserving
@@ -209,7 +209,7 @@ def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Gen
     """
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)
-        if table.budget.spent() or loss.sum() <= _ROUNDING * table.least_costs.sum():
+        if table.budget.spent() or loss.sum() <= ROUNDING * table.least_costs.sum():
             return
         i = int(rng.choice(len(loss), p=loss / loss.sum()))
         places = [lattice.q[nodes, :2] for lattice, nodes in zip(table.joint.lattices, table.state.T, strict=True)]

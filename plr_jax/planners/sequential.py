@@ -18,7 +18,7 @@ from plr_jax._problem import JointPath, Problem
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.robots import DiscRobot
+from plr_jax.robots import DiscRobot, Points
 
 # With more walls or robots, lattice searches are as fast, and no order of robots is likely to exist.
 _MOST_WALLS = 48
@@ -27,7 +27,6 @@ _SHARP_TURN = 2.0  # turn of the normals (radians) at a convex corner above whic
 _LEAST_COSINE = 1e-3  # bounds the distance of positions from sharp concave corners
 _COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are faster in plain Python
 _DEPARTURES = 32  # most departure times that are tried for a robot, besides the last one
-Points = Float[np.ndarray, "n 2"]
 Route = list[complex]  # positions of the disc's center
 
 

@@ -15,16 +15,14 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import path_from_root, ragged_indices, require_time, take_ragged
-from plr_jax._problem import JointPath, Problem, path_cost, straight_costs
-from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, within_reach
+from plr_jax._problem import ROUNDING, JointPath, Problem, path_cost, straight_costs
+from plr_jax.collision.motions import Circles, JointMotionTest, Rows, TeamTrajectory, circles, within_reach
 from plr_jax.robots import between
 
-Rows = Int[np.ndarray, "m"]
 Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
 Robots = tuple[int, ...]
 Group = tuple[Robots, slice]  # one or two robots, and rows of the path
-_ROUNDING = 1e-9
 # Shortcuts:
 _LONGEST = 32  # most steps that a shortcut spans
 _STRIDES = (16, 4, 1)  # motions tested in each batch: every 16th, every 4th, all
@@ -190,7 +188,7 @@ def _shortened_in_corridors(
         # 2. Set the costs of motions that cannot gain, or hit something, to inf. Test only motions that may gain.
         #    `region` has a circle for each row in which the reference point stays.
         present_cost = cost[:, 0, 0].copy()
-        may_gain = total < (1 - _ROUNDING) * (m_i + spare)
+        may_gain = total < (1 - ROUNDING) * (m_i + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         begin, end = corridor[row, first], corridor[row + 1, last]
@@ -229,7 +227,7 @@ def _joint_costs(
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
     cost = cost.reshape(-1, size, size)
     present_cost = cost[:, 0, 0].copy()
-    may_gain = _least_cost_through(cost) < (1 - _ROUNDING) * present_cost.sum()
+    may_gain = _least_cost_through(cost) < (1 - ROUNDING) * present_cost.sum()
     near = within_reach(test.robots[i], around[0], test.robots[j], around[1])
     tested = np.nonzero((may_gain & near[:, None, None]).reshape(shape))
     row, a_first, b_first, a_last, b_last = tested

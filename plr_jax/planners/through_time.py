@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time
+from plr_jax._arrays import IndexPairs, batches, path_from_root, ragged_indices, require_time
 from plr_jax._problem import JointPath, Problem, row_times, straight_costs
-from plr_jax.collision.motions import Booleans, JointMotionTest, TeamTrajectory, circles
+from plr_jax.collision.motions import Booleans, JointMotionTest, Rows, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots import between
 
@@ -23,8 +23,6 @@ _BATCH = 16  # states expanded at once
 _ROOM = 4  # distance from walls, in radii, at which a resting robot leaves room for another to pass
 _AHEAD = 32  # most waypoints that a straight motion skips
 _ROUNDING = 1e-9
-Rows = Int[np.ndarray, "m"]
-Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
 
@@ -76,7 +74,7 @@ class Timetable:
         is_free[motion[piece]] = False
         return is_free
 
-    def meetings(self, i: int, q: Motion) -> Meetings:
+    def meetings(self, i: int, q: Motion) -> IndexPairs:
         """Return all collisions with other robots if robot ``i`` follows ``q`` from row 0 on, and then rests.
 
         The results are two arrays with an entry for each collision: its time step, and the other robot's index.
@@ -101,7 +99,7 @@ class Timetable:
         until = np.minimum.accumulate(np.where(is_taken, row, np.inf)[::-1])[::-1]
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
-    def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
+    def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> IndexPairs:
         # The pieces of motions, one time step each, that meet a robot, and this robot. A robot at rest blocks others
         # for `patience` rows.
         first_row = np.minimum(row, self._last)

@@ -1,7 +1,7 @@
 """Draw problems, planned paths and samples; and draw robots, also for animations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -22,8 +22,7 @@ from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots import Robot, placed, rows_around, shorter_turn
 
 
-@dataclass(frozen=True, eq=False)
-class Timeline:
+class Timeline(NamedTuple):
     """A path of all robots: configurations at nondecreasing times, from 0 to the path's duration.
 
     Headings are continuous: they grow beyond pi instead of jumping by a full turn.

@@ -106,8 +106,8 @@ def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = 
     return ax
 
 
-def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
-    for polygon in blocked_polygons(workspace):
+def _add_obstacles(workspace: Workspace | FreeTest | None, ax: Axes) -> None:
+    for polygon in blocked_polygons(workspace) if isinstance(workspace, Workspace) else ():
         ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, edgecolor=_axes.INK, linewidth=0.7, zorder=3))
 
 
@@ -187,10 +187,9 @@ def plot_contours(
         _add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), Normalize(0.0, 1.0)).set_zorder(3)
         if has_lines:
             ax.contour(x, y, ~is_free, levels=[0.5], colors=_axes.INK, linewidths=0.6, zorder=3.5)
-    if workspace is not None:
-        _add_obstacles(workspace, ax)
-        for polygon in cut_off:
-            ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
+    _add_obstacles(workspace, ax)
+    for polygon in cut_off:
+        ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
     _axes.add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 
@@ -210,8 +209,7 @@ def plot_cells(
     cells = _cells_of(plr, shown)
     closed = np.concatenate([cells, cells[:, :1]], axis=1)
     ax.add_collection(LineCollection(list(closed), colors=color, linewidths=0.4, alpha=0.7, zorder=2.5))
-    if workspace is not None:
-        _add_obstacles(workspace, ax)
+    _add_obstacles(workspace, ax)
     return ax
 
 
@@ -252,8 +250,7 @@ def plot_error(
     if (unanswered := np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))).count():
         _add_image(ax, shown.box, unanswered, "autumn", Normalize(1.0, 2.0))
     # 3. Cover obstacles, and label.
-    if isinstance(workspace, Workspace):
-        _add_obstacles(workspace, ax)
+    _add_obstacles(workspace, ax)
     _axes.add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend="both" if finite.max() > largest else "min")
     ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=_axes.FONT_SIZE, color=_axes.INK)
     return ax

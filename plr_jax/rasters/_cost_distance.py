@@ -109,35 +109,46 @@ def cost_distance(
     distance, and the largest error is 2.2 %. With heights, distances differ from distances on three times finer
     rasters by 0.6 % on average.
 
-    The search for paths takes kilobytes of memory a cell. So for rasters of more than 2 million cells, fast marching
-    replaces the search, unless bounds or heights are given. Fast marching takes about 110 bytes a cell. The errors of
-    fast marching are 0.1 to 0.3 % on average where costs change slowly, and 0.5 to 7 % where costs jump. A cell that
-    is much longer than wide counts as several cells, as the search divides the cell into parts that are about square.
+    The search for paths takes 4 kB of memory for each open cell (a cell that is no barrier). So for rasters of more
+    than 2 million open cells, fast marching replaces the search, unless bounds, heights or ``squeeze`` are given.
+    Fast marching takes about 110 bytes a cell. The errors of fast marching are 0.1 to 0.3 % on average where costs
+    change slowly, and 0.5 to 7 % where costs jump. A cell that is much longer than wide counts as several cells, as
+    the search divides the cell into parts that are about square.
 
     Args:
-        costs: Positive costs per unit of length, ``(rows, columns)``: an array, a masked array or an xarray
-            ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With
-            heights, costs are factors without a unit. NaN, ``inf``, masked cells and a ``DataArray``'s no-data value
-            are barriers. No path passes between two barriers that touch in a corner.
+        costs: Positive costs per unit of length, ``(rows, columns)``: an array, a masked array, an xarray
+            ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates, or the path of a raster file of
+            one band, which needs ``pip install 'plr-jax[gis]'``. With heights, costs are factors without a unit, and
+            may be a number if heights are a ``DataArray``. NaN, ``inf``, masked cells and the no-data value of a
+            ``DataArray`` or a file are barriers.
         sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape. Sources of a mask are
-            numbered as by ``np.argwhere(mask)``. If ``costs`` is a ``DataArray``, points are in its coordinates. In
-            an array, row 0 has the lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to
+            numbered as by ``np.argwhere(mask)``. If ``costs`` has coordinates, points are in its coordinates. In an
+            array, row 0 has the lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to
             ``i + 1``, times ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
         cell_size: Side of a cell, or both sides ``(x, y)``; for arrays only.
-        heights: Height of each cell, in the unit of ``cell_size``. With heights, costs depend on the direction of
-            travel. Cells without a finite height are barriers.
+        degrees: Whether coordinates are longitude and latitude in degrees. Lengths are then in meters on a sphere of
+            the earth's mean radius, 6,371,008.8 m, and a raster of 360 degrees wraps around. Latitudes must be from
+            -85 to 85. None: as the reference system of a ``DataArray`` says or, without one, the names of its
+            coordinates.
+        squeeze: Whether paths pass between two barriers that touch in a corner, as they do over 8-connected cells.
+        heights: Height of each cell, in the unit of length: an array, a ``DataArray`` or the path of a file. With
+            heights, costs depend on the direction of travel. Cells without a finite height are barriers.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, the seconds that a hiker takes per horizontal meter.
-        from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
-        bounds: Whether to prove bounds, for costs that are constant in each cell; takes 3 to 5 seconds of CPU time
-            for 160,000 cells.
+        from_sources: With heights, whether paths lead from the sources to the cells (walking out) instead of to the
+            sources (reaching help).
+        bounds: Whether to prove bounds, for costs that are constant in each cell, in a plane; takes 3 to 5 seconds of
+            CPU time for 160,000 cells.
         max_bytes: If given, the result has a PLR of at most this many bytes.
 
     Raises:
         ValueError: If costs or heights are not such rasters. If lengths or costs are too large or too small for
             64-bit numbers (the message states limits). If there is no source, or a source is outside of the raster or
-            in a barrier. If an option is out of its range, or ``bounds`` comes with heights or more than 4 million
-            cells. If fast marching is used and costs differ by more than a factor of 100,000.
+            in a barrier. If an option is out of its range, or ``bounds`` comes with heights or degrees. If bounds,
+            heights or ``squeeze`` come with more than 4 million open cells. If fast marching is used and costs differ
+            by more than a factor of 100,000.
+        FileNotFoundError: If there is no file at a path.
+        ImportError: If a path is given, and rioxarray is missing.
     """
     # 1. The raster with the lowest coordinates first, its heights, and the sources in it.
     costs, heights = opened("costs", costs), opened("heights", heights)
@@ -145,11 +156,9 @@ def cost_distance(
         if np.shape(costs) not in ((), heights.shape):
             expected = f"a number, or have the shape {heights.shape} of heights"
             raise ValueError(f"costs must be {expected}, got shape {np.shape(costs)}.")
-        costs = heights.copy(data=np.broadcast_to(np.ma.filled(costs, np.nan), heights.shape))
-        costs.attrs, costs.encoding = ({key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding))
+        costs = _on_raster(heights, np.broadcast_to(np.ma.filled(costs, np.nan), heights.shape))
     cost, box, flips = _raster(costs, cell_size)
     box, in_degrees = _in_degrees(costs, box, cost.shape, degrees)
-    relief = None
     if heights is not None:
         height = raster_values("heights", heights)
         if height.shape != cost.shape:
@@ -158,8 +167,10 @@ def cost_distance(
         height = height[flips]
         cost = np.where(np.isfinite(height), cost, np.inf)
     points = _as_sources(sources, costs, cost, box, flips)
-    # 2. The grid for a search for paths or, over many cells, for a march.
-    needs_paths = heights is not None or as_bool("bounds", bounds) or as_bool("squeeze", squeeze)
+    # 2. The grid for a search for paths or, over many cells, for a march; and the heights in the grid.
+    if as_bool("bounds", bounds) and in_degrees:
+        raise ValueError("Costs in degrees have no proven bounds, since rows are resampled: project the raster.")
+    needs_paths = heights is not None or bounds or as_bool("squeeze", squeeze)
     grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS, heights is None)
     num_cells = int(np.isfinite(cost).sum(axis=1)[grid.row_of].sum()) * grid.column_parts
     if needs_paths and num_cells > MOST_ON_REQUEST:
@@ -167,17 +178,16 @@ def cost_distance(
         raise ValueError(f"With heights, bounds or squeeze, the raster must have {most}, got {num_cells:,}.")
     if marches := num_cells > MOST_CELLS and not needs_paths:
         grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS, False)
+    relief = None
+    slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
+    directed = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
     if heights is not None:
-        # Barriers get the height of the nearest cell.
-        filled = height[nearest_cells(np.isfinite(height), (box.width / cost.shape[::-1])[::-1])]
-        slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
-        slope_to_source = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
-        relief = Relief(grid.interpolated(filled), slope_to_source, grid.scale)
-    if bounds and in_degrees:
-        raise ValueError("Costs in degrees are resampled, so they have no proven bounds: project the raster.")
+        # Barriers get the height of the nearest cell.
+        nearest_known = nearest_cells(np.isfinite(height), (box.width / cost.shape[::-1])[::-1])
+        relief = Relief(grid.interpolated(height[nearest_known]), directed, grid.scale)
     # 3. Distances, nearest sources and bounds at the centers of parts, then of cells.
     fine, tree = grid.divided(cost), None
     places = grid.in_plane(points, np.isfinite(fine))
@@ -200,12 +210,19 @@ def cost_distance(
     # 4. Results in the order and with the coordinates of the given raster: `flips` applied again.
     tables: list[Any] = [table[flips] for table in results]
     if is_data_array(costs):
-        kept = [{key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)]
         for k, name in enumerate(("distance", "nearest", "lower", "upper")[: len(tables)]):
-            tables[k] = costs.copy(data=tables[k]).rename(name)
-            tables[k].attrs, tables[k].encoding = kept
+            tables[k] = _on_raster(costs, tables[k]).rename(name)
         tables[1].attrs["_FillValue"] = -1  # files then know that -1 is no nearest source
     return CostDistance(*tables, plr=plr, _grid=grid, _tree=tree)
+
+
+def _on_raster(raster: Any, values: np.ndarray) -> Any:
+    """Return a DataArray of values with the coordinates and the reference system of ``raster``."""
+    values = raster.copy(data=values)
+    values.attrs, values.encoding = (
+        {key: table[key] for key in _REFERENCES if key in table} for table in (raster.attrs, raster.encoding)
+    )
+    return values
 
 
 def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | None) -> tuple[Box, bool]:
@@ -215,7 +232,9 @@ def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | No
     if not as_bool("degrees", degrees):
         return box, False
     if not is_data_array(costs):
-        raise ValueError("degrees=True needs a DataArray, whose coordinates are longitude and latitude, got an array.")
+        raise ValueError(
+            "degrees=True needs a DataArray, whose coordinates are longitude and latitude, got an array."
+        )
     tolerance = _TOLERANCE * box.width / shape[::-1]
     if box.width[0] > 360 + tolerance[0]:
         raise ValueError(f"Longitudes must span at most 360 degrees, got {box.width[0]:g}: leave out columns.")
@@ -234,7 +253,9 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
         is_aligned = raster.dims == costs.dims and raster.shape == costs.shape
         for axis in costs.dims if is_aligned else ():
             ours, given = (np.asarray(each[axis].values, float) for each in (costs, raster))
-            is_aligned &= bool((np.abs(ours - given) <= _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)).all())
+            is_aligned &= bool(
+                (np.abs(ours - given) <= _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)).all()
+            )
         if not is_aligned:
             expected = f"the dimensions {costs.dims} and coordinates of costs, got other ones"
             raise ValueError(f"{name} must have {expected}: use reindex_like(costs) or interp_like(costs).")

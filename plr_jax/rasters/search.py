@@ -1,14 +1,15 @@
 """Shortest paths over a raster whose costs are constant in each cell.
 
 :func:`search` runs Dijkstra's algorithm on a graph of straight edges between corners (o) and centers (x) of open
-cells, up to four cells long, with their exact costs. With heights, edges join centers alone and are up to six cells
-long::
+cells, up to four cells long, with their exact costs. Beside jumps of the cost, sides of cells have two more nodes
+each (.), where paths refract: edges join them to the nodes of their two cells. With heights, edges join centers alone
+and are up to six cells long::
 
-    o-------o-------o
-    |   x   |   x   |     Edges lead from each node to the nodes around it, in all directions in which
-    o-------o-------o     they pass no other node.
+    o-------o--.-.--o
+    |   x   |   x   |     Edges lead from each corner and center to the corners and centers around it, in all
+    o-------o--.-.--o     directions in which they pass no other.
     |   x   |   x   |
-    o-------o-------o
+    o-------o--.-.--o
 
 Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
 """
@@ -21,7 +22,8 @@ from math import floor, gcd
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int32
+from jaxtyping import Float, Int, Int32
+from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -29,6 +31,9 @@ from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
 
 _HALVES = 8  # most half cells of an edge along each axis, without heights
 _REACH = 6  # most cells of an edge along each axis, with heights; also the width of the rim around the raster
+_JUMP = 1.25  # costs of neighbors differ by this factor where sides have nodes; errors are the same for 1.1
+UNITS = 6  # places of nodes are counted in units, of which a side of a cell has so many
+_HALF = UNITS // 2
 _NODES_AT_ONCE = 8192  # nodes whose edges are computed at a time, so that their arrays stay in the cache
 _SAME_DIRECTION = 1e-9  # largest difference of unit vectors along a straight path
 Raster = Float[np.ndarray, "rows columns"]
@@ -38,6 +43,9 @@ Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 Cell = tuple[int, int]  # row and column, also of an offset between cells
+Place = tuple[int, int]  # row and column in units; for each kind of nodes, their place in their cell
+CORNER, CENTER = (0, 0), (_HALF, _HALF)
+_AT_SIDES = {(0, 2), (0, 4), (2, 0), (4, 0)}  # the kinds of nodes at the lower sides of a cell
 AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
 # Stretches of a motion: the share of the motion at which each ends, and the factor of the cost in it.
 Stretches = Sequence[tuple[float, float | np.ndarray]]
@@ -60,7 +68,7 @@ class PathTree:
     """
 
     next_node: Int[np.ndarray, " nodes"]  # of each node the next one of its path; negative without a path
-    place: Int32[np.ndarray, "places 2"]  # row and column of each node in half cells; the last nodes are sources
+    place: Int32[np.ndarray, "places 2"]  # row and column of each node, in units; the last nodes are sources
     sources: Points
     node_of: Int32[np.ndarray, "rows columns"]  # the node in the center of each cell; negative in barriers
     side: Sides  # of a cell
@@ -75,7 +83,7 @@ class PathTree:
         *nodes, last = path_from_root(self.next_node, int(self.node_of[row, column]))[::-1]
         if last < (num_nodes := len(self.place)):
             return np.empty((0, 2))
-        path = np.append(self.place[nodes][:, ::-1] / 2 * self.side, self.sources[last - num_nodes, None], axis=0)
+        path = np.append(self.place[nodes][:, ::-1] / UNITS * self.side, self.sources[last - num_nodes, None], axis=0)
         if self.period is not None:
             path[:, 0] = np.unwrap(path[:, 0], period=self.period)
         # 2. Leave out equal vertices, and vertices at which the path does not turn.
@@ -114,7 +122,7 @@ def search(
     #    columns at the other end. A cell has a flat index in the raster with its rim. The corner of two lower sides
     #    of a cell has the cell's flat index.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
-    rows, columns = cost.shape
+    columns = cost.shape[1]
     home = cells_of(points, side, cost.shape)
     rim = ((_REACH, _REACH), (0, 0)), ((0, 0), (_REACH, _REACH))
     around: Any = {"mode": "wrap"} if wraps else {"constant_values": np.inf}
@@ -122,24 +130,27 @@ def search(
     width = cost.shape[1]
     inside = np.s_[_REACH:-_REACH, _REACH:-_REACH]
     flat_cost, is_open = cost.ravel(), np.isfinite(cost)
-    # 2. Number the nodes: first corners (`nodes[0]`) of open cells (none with heights), then centers (`nodes[1]`) of
-    #    open cells. Paths pass no corner where two barriers touch, unless they squeeze through.
-    is_node = {1: np.zeros(cost.shape, bool)}
-    is_node[1][inside] = is_open[inside]
+    # 2. Number the nodes: centers of open cells and, without heights, their corners, and points of sides between two
+    #    open cells whose costs jump to some neighbor. Paths pass no corner where two barriers touch, unless they
+    #    squeeze through.
+    is_node = {CENTER: is_open}
     if relief is None:
-        is_node = {0: np.zeros(cost.shape, bool), **is_node}
         a, b, c, d = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, :-1], is_open[1:, 1:]  # a and b are the lower
         is_contact = (a == d) & (b == c) & (a != b) & (not squeeze)
-        is_node[0][1:, 1:] = (a | b | c | d) & ~is_contact
-        is_node[0][:, columns + _REACH + (not wraps) :] = is_node[0][:, :_REACH] = False
+        is_node = {CORNER: np.pad((a | b | c | d) & ~is_contact, ((1, 0), (1, 0))), CENTER: is_open}
+        cross = ndimage.generate_binary_structure(2, 1)
+        most = ndimage.maximum_filter(np.where(is_open, cost, 0.0), footprint=cross)
+        jumps = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
+        is_node |= {kind: jumps & np.roll(jumps, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
     nodes, number, num_nodes = {}, {}, 0
-    for half, is_one in is_node.items():
-        nodes[half] = np.flatnonzero(is_one)
+    for kind, is_one in is_node.items():
+        last = columns + _REACH + (not wraps and kind[1] == 0)
+        nodes[kind] = np.flatnonzero(is_one & (np.arange(width) >= _REACH) & (np.arange(width) < last))
         numbers = np.full(is_one.shape, -1, np.int32)
-        numbers.ravel()[nodes[half]] = num_nodes + np.arange(len(nodes[half]))
-        number[half] = (np.pad(numbers[:, _REACH:-_REACH], rim[1], mode="wrap") if wraps else numbers).ravel()
-        num_nodes += len(nodes[half])
-    # 3. List the steps of edges from each node, in half cells, so that edges pass no other node.
+        numbers.ravel()[nodes[kind]] = num_nodes + np.arange(len(nodes[kind]))
+        number[kind] = (np.pad(numbers[:, _REACH:-_REACH], rim[1], mode="wrap") if wraps else numbers).ravel()
+        num_nodes += len(nodes[kind])
+    # 3. List the steps of edges from each kind of nodes, in units.
     if relief is None:
         # Counted in half cells, corners have even places and centers odd ones:
         #
@@ -151,80 +162,96 @@ def search(
         #         0   1   2   3   4
         #
         half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
-        steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
+        passing = ((1, 0), (1, 2), (2, 2))
+        long = [(_HALF * i, _HALF * j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in passing]
+        steps = {kind: [*long] if kind in (CORNER, CENTER) else [] for kind in is_node}
+        # Edges from and to nodes at sides stay in a cell.
+        for (a, b), (y, x) in product(is_node, product(range(-UNITS, UNITS + 1), repeat=2)):
+            end = y % UNITS, x % UNITS
+            is_in_cell = (a == 0 or y >= 0) and (b == 0 or x >= 0) and (y, x) != (a, b)
+            if is_in_cell and end in is_node and {end, (a, b)} & _AT_SIDES:
+                steps[a, b].append((y - a, x - b))
         # Edges from sources lead to nodes in and beside their cells, at offsets `near` from the centers of cells.
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
-        costs_to_near = _straight_costs(cost, side, points, home, near)
+        costs_to_near = _straight_costs(cost, side, points, home, near, squeeze)
     else:
         # Sources move to the centers of their cells, at no cost.
-        steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+        cell_steps = product(range(-_REACH, _REACH + 1), repeat=2)
+        steps = {CENTER: [(UNITS * i, UNITS * j) for i, j in cell_steps if gcd(i, j) == 1]}
         near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
         points = (home[:, ::-1] + 0.5) * side
         height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
         run = np.pad(relief.run, _REACH, mode="edge")
 
-    def ends_of(step: Cell, half: int, begin: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-        # The nodes to which a step leads from corners (`half` is 0) or centers (1) of cells; negative if it leads to
-        # none. From a node at the place 2 * row + half, the step i leads to the place
-        # 2 * (row + (half + i) // 2) + (half + i) % 2.
-        (row, end_half), (column, _) = (divmod(half + along, 2) for along in step)
-        return number[end_half][begin + row * width + column]
+    def ends_of(step: Place, kind: Place, begin: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+        # The nodes to which a step leads from nodes of a kind in the cells `begin`; negative if it leads to none.
+        (row, end_y), (column, end_x) = (divmod(at + along, UNITS) for at, along in zip(kind, step, strict=True))
+        return number[end_y, end_x][begin + row * width + column]
 
     # 4. Compute the edges of all nodes, by node and step, and then those of sources. The cost of an edge is its
     #    length times the mean cost along it; an infinite cost is no edge.
-    size = num_nodes * len(steps)
+    size = sum(len(nodes[kind]) * len(steps[kind]) for kind in nodes)
     ends, costs = np.empty(size + costs_to_near.size, np.int32), np.empty(size + costs_to_near.size)
-    row_of_edges = 0
-    for half, all_begins in nodes.items():
+    num_edges, degrees = 0, []
+    for kind, all_begins in nodes.items():
         for begin in batches(all_begins, _NODES_AT_ONCE):
-            end, cost_of = np.empty((len(steps), len(begin)), np.int32), np.empty((len(steps), len(begin)))
+            shape = len(steps[kind]), len(begin)
+            end, cost_of = np.empty(shape, np.int32), np.empty(shape)
             cost_at = lambda cell: flat_cost[begin + cell[0] * width + cell[1]]  # noqa: B023, E731
-            for k, (i, j) in enumerate(steps):
-                length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
+            for k, (i, j) in enumerate(steps[kind]):
+                length = float(np.hypot(*(side[::-1] * (i, j)))) / UNITS
                 stretches: Stretches = [(1.0, 1.0)]
                 if relief is not None:
                     height_at = lambda cell: height[begin + cell[0] * width + cell[1]]  # noqa: B023, E731
                     run_at = lambda row: run[begin // width + row]  # noqa: B023, E731
-                    stretches = _slope_factors(i // 2, j // 2, length, height_at, run_at, relief.slope_fn)
-                end[k] = ends_of((i, j), half, begin)
-                cost_of[k] = length * mean_along(i, j, half, cost_at, stretches, squeeze)
-            table = slice(row_of_edges, row_of_edges + end.size)
-            ends[table], costs[table] = np.maximum(end, 0).T.ravel(), np.where(end < 0, np.inf, cost_of).T.ravel()
-            row_of_edges += end.size
+                    stretches = _slope_factors(i // UNITS, j // UNITS, length, height_at, run_at, relief.slope_fn)
+                end[k] = ends_of((i, j), kind, begin)
+                cost_of[k] = length * mean_along((i, j), kind, cost_at, stretches, squeeze)
+            is_edge = ((end >= 0) & (cost_of < np.inf)).T
+            degrees.append(is_edge.sum(axis=1))
+            table = slice(num_edges, num_edges := num_edges + int(degrees[-1].sum()))
+            ends[table], costs[table] = end.T[is_edge], cost_of.T[is_edge]
     flat_home = (home + _REACH) @ (width, 1)
-    to_near = np.stack([ends_of((i, j), 1, flat_home) for i, j in near.tolist()], axis=1)
-    ends[size:] = np.maximum(to_near, 0).ravel()
-    costs[size:] = np.where(to_near < 0, np.inf, costs_to_near).ravel()
+    to_near = np.stack([ends_of((_HALF * i, _HALF * j), CENTER, flat_home) for i, j in near.tolist()], axis=1)
+    table = slice(num_edges, num_edges + to_near.size)
+    ends[table] = np.maximum(to_near, 0).ravel()
+    costs[table] = np.where(to_near < 0, np.inf, costs_to_near).ravel()
+    degrees.append(np.full(len(points), len(near)))
     # 5. Find shortest paths outward from all sources at once.
-    begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
-    graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
+    begins = np.append(0, np.concatenate(degrees).cumsum()).astype(np.int32)  # SciPy copies edges for 64-bit begins
+    graph = csr_array((costs[: begins[-1]], ends[: begins[-1]], begins), shape=(len(begins) - 1,) * 2)
     sources = num_nodes + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
 
     nearest_of = np.append(first, -1)[np.maximum(source - num_nodes, -1)]
 
-    def raster_of(half: int, values: np.ndarray, elsewhere: float) -> Any:
+    def raster_of(kind: Place, values: np.ndarray, elsewhere: Any) -> Any:
         # Values of all corners or centers, from values of all nodes.
         table = np.full(cost.shape, elsewhere, values.dtype)
-        table.ravel()[nodes[half]] = values[number[half][nodes[half]]]
-        return table[_REACH : _REACH + rows + 1 - half, _REACH : _REACH + columns + 1 - half]
+        table.ravel()[nodes[kind]] = values[number[kind][nodes[kind]]]
+        return table[inside] if kind == CENTER else table[_REACH : 1 - _REACH, _REACH : 1 - _REACH]
 
-    place = [2 * (np.stack(np.divmod(nodes[half], width), axis=1) - _REACH) + half for half in nodes]
-    node_of = number[1].reshape(cost.shape)[inside]
+    place = [UNITS * (np.stack(np.divmod(nodes[kind], width), axis=1) - _REACH) + kind for kind in nodes]
+    node_of = number[CENTER].reshape(cost.shape)[inside]
     period = float(columns * side[0]) if wraps else None
     tree = PathTree(toward, np.concatenate(place).astype(np.int32), points, node_of, side, period)
-    at_corners = raster_of(0, distance, np.inf) if relief is None else None
-    return raster_of(1, distance, np.inf), at_corners, raster_of(1, nearest_of, -1), tree
+    at_corners = raster_of(CORNER, distance, np.inf) if relief is None else None
+    return raster_of(CENTER, distance, np.inf), at_corners, raster_of(CENTER, nearest_of, -1), tree
 
 
 def _straight_costs(
-    cost: Raster, side: Sides, points: Points, home: Int[np.ndarray, "k 2"], near: Int[np.ndarray, "nodes 2"]
+    cost: Raster,
+    side: Sides,
+    points: Points,
+    home: Int[np.ndarray, "k 2"],
+    near: Int[np.ndarray, "nodes 2"],
+    squeeze: bool,
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
     Nodes are centers and corners of cells, at the offsets ``near``, in half cells, from the center of the point's
     cell. ``home`` has the row and column of this cell. ``cost`` has a rim of ``_REACH`` cells. A motion through a
-    barrier costs ``inf``.
+    barrier costs ``inf``, as does a motion between two barriers that touch in a corner, unless it may ``squeeze``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
@@ -250,38 +277,42 @@ def _straight_costs(
             for cell in cells
         )
         mean = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
-    return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+        # 3. Where a motion passes a corner, one of the other two cells there must be no barrier. A source in a corner
+        #    is a source of all cells there.
+        beside = (cost[tuple(np.moveaxis(home[:, None] + beyond * axis + _REACH, 2, 0))] for axis in ((1, 0), (0, 1)))
+        is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside)) & (not squeeze)
+    return np.where(np.isnan(mean) | is_contact, np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
 
 
 def mean_along(
-    i: int, j: int, half: int, cost_at: AtOffset, stretches: Stretches = ((1.0, 1.0),), squeeze: bool = False
+    step: Place, kind: Place, cost_at: AtOffset, stretches: Stretches = ((1.0, 1.0),), squeeze: bool = False
 ) -> np.ndarray:
     """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
 
-    Each motion goes by ``i`` half cells across rows and by ``j`` half cells across columns. All motions begin in the
-    center of a cell (``half`` is 1) or in its lower corner (``half`` is 0). For an offset in rows and columns,
+    Each motion goes by ``step``, from a node of the ``kind`` in its cell. For an offset in rows and columns,
     ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin. In each of
     the ``stretches`` of the motion, costs are multiplied by a factor. Unless motions ``squeeze`` through, they do not
     pass between two barriers that touch in a corner.
     """
-    # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate, which starts at
-    #    `half` and counts half cells, is even. Cut it where stretches end, too. The middle of each piece, in cells,
-    #    tells its cell.
+    # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate is a multiple of
+    #    `UNITS`. Cut it where stretches end, too. The middle of each piece, in cells, tells its cell.
     #
     #      +-------+-------+-------+
-    #      |       |      .|.  x   |      From center to center by i = 2 and j = 4: cuts at 1/4, 1/2 and 3/4.
+    #      |       |      .|.  x   |      From center to center by one row and two columns: cuts at 1/4, 1/2 and 3/4.
     #      +-------+---.---+-------+
     #      |   x  .|.      |       |
     #      +-------+-------+-------+
     #
-    borders = {k / abs(n) for n in (i, j) for k in range(1, abs(n)) if (half + k) % 2 == 0}
+    (y, x), (i, j) = kind, step
+    borders = {(m - at) / n for at, n in ((y, i), (x, j)) for m in range(*sorted((at, at + n))) if m % UNITS == 0}
     cuts = sorted({0.0} | borders | {end for end, _ in stretches})
-    cells = [(floor((half + i * (a + b) / 2) / 2), floor((half + j * (a + b) / 2) / 2)) for a, b in pairwise(cuts)]
+    middles = [(a + b) / 2 for a, b in pairwise(cuts)]
+    cells = [(floor((y + i * share) / UNITS), floor((x + j * share) / UNITS)) for share in middles]
     # 2. Add the cost of each piece. Along the border of two cells the cheaper one counts.
     mean: Any = 0.0
     for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
         cost = cost_at((row, column))
-        if half == 0 and 0 in (i, j):
+        if i == y == 0 or j == x == 0:
             cost = np.minimum(cost, cost_at((row - (i == 0), column - (j == 0))))
         mean = mean + (b - a) * next(factor for end, factor in stretches if b <= end) * cost
     # 3. Where the motion passes a corner, one of the other two cells there must be no barrier.

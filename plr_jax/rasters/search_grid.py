@@ -17,6 +17,7 @@ Reference: Snyder, "Map projections: a working manual", 1987, chapter 7.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,6 +27,7 @@ from plr_jax.rasters.search import Points, Raster, Sides, cells_of
 
 EARTH_RADIUS = 6_371_008.8  # mean radius, in meters
 MOST_LATITUDE = 85.0  # degrees: on Mercator's map, the poles are infinitely far away
+Parts = Float[np.ndarray, "part_rows part_columns"]
 _EXACT = 1e-6  # centers of cells within this share of a row are the centers of parts
 
 
@@ -95,13 +97,13 @@ class SearchGrid:
         """Whether the last column meets the first one."""
         return self.box.periodic[0]
 
-    def divided(self, raster: Raster) -> Raster:
+    def divided(self, raster: Raster) -> Parts:
         """Return the raster's values in each part of its cells."""
         if self.num_cells > raster.size:
             raster = raster[self.row_of].repeat(self.column_parts, axis=1)
         return raster
 
-    def interpolated(self, raster: Raster) -> Raster:
+    def interpolated(self, raster: Raster) -> Parts:
         """Return the raster's values at the center of each row of parts, linear between centers of cells."""
         if not self.in_degrees:
             return raster
@@ -123,12 +125,13 @@ class SearchGrid:
         here = table[self.middle_row]
         if table.dtype.kind == "i" or not self.above.any():
             return here
-        # Linear between two rows. Where paths from both rows lead away from the middle, to two sides of an obstacle or
-        # to two sources, the distance is the lower one of two continued lines, which is higher:
+        # Linear between the rows `here` and `there`, which is `above` rows away. Where paths from these two rows lead
+        # away from each other, the distance has a peak (^) between them, where two continued lines meet:
         #
-        #      . before   ^           Rows of parts: before, here, there, after. The middle of the cell (^) lies between
-        #      . here    / \          `here` and `there`, `above` rows away from `here`.
-        #      . there     . after
+        #              ^
+        #            /   \
+        #       here       there
+        #     before           after
         #
         toward, share = np.sign(self.above).astype(int), np.abs(self.above)[:, None]
         before, there, after = (table[np.clip(self.middle_row + k * toward, 0, len(table) - 1)] for k in (-1, 1, 2))
@@ -138,7 +141,7 @@ class SearchGrid:
             middle = np.fmax(between, continued)
         return np.where(np.isfinite(middle), middle, here)
 
-    def in_plane(self, points: Points, is_open: Bool[np.ndarray, "rows columns"]) -> Points:
+    def in_plane(self, points: Points, is_open: Bool[np.ndarray, "part_rows part_columns"]) -> Points:
         """Return the places, in the plane of the grid, of points in open cells of the raster.
 
         Rows of parts do not end where rows of the raster do. So points move up or down to the nearest part of their
@@ -170,5 +173,5 @@ class SearchGrid:
         return int(self.middle_row[row]), column * self.column_parts + self.column_parts // 2
 
 
-def _mercator(latitude: np.ndarray) -> np.ndarray:
+def _mercator(latitude: Any) -> Any:
     return EARTH_RADIUS * np.arcsinh(np.tan(np.radians(latitude)))

@@ -37,11 +37,7 @@ _PIXELS_PER_BYTE = 2**12  # most pixels per byte of the file, for larger picture
 _BYTES_PER_PIXEL = {"1": 1, "L": 1, "P": 1}  # of a decoded pixel by mode of Pillow; all other modes take 4
 OPAQUE = 255  # largest value of an alpha channel
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
-# First bytes of TIFF and BigTIFF; advice if Pillow does not read such a file; tags, and three of their values.
-_TIFF = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"
 _TIFF_ADVICE = "for costs use RasterCost or cost_distance with its path, after pip install 'plr-jax[gis]'"
-_BITS_PER_SAMPLE, _PHOTOMETRIC, _PLANAR, _SAMPLE_FORMAT = 258, 262, 284, 339
-_BLACK_IS_ZERO, _BY_CHANNEL, _SIGNED = 1, 2, 2  # of _PHOTOMETRIC, _PLANAR and _SAMPLE_FORMAT
 
 
 def read_image(
@@ -97,7 +93,7 @@ def open_picture(path: Path) -> Iterator["Image"]:
         if (num_bytes := os.fstat(file.fileno()).st_size) > _MOST_BYTES:
             raise ValueError(f"expected a picture of at most {_MOST_BYTES:,} bytes, got a larger file.")
         warnings.simplefilter("ignore")  # Pillow warns of what is rejected here or harmless
-        hint = f" If it is a GeoTIFF, {_TIFF_ADVICE}." if file.read(4) in _TIFF else ""
+        hint = f" If it is a GeoTIFF, {_TIFF_ADVICE}." if "tif" in path.suffix.lower() else ""
         try:
             picture = Image.open(file, formats=_FORMATS)
         except Exception as error:  # Pillow's decoders raise any kind of error
@@ -136,15 +132,16 @@ def _require_plain(picture: Any) -> None:
     In PNG files with 2 or 4 bits per pixel, one gray level may stand for transparent pixels. Pillow scales the pixels
     to 8 bits, but not this level: this function scales ``picture.info["transparency"]`` in place.
     """
-    # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black. Pillow misreads channels of
-    #    16 bits that are stored one after the other.
-    tags = getattr(picture, "tag_v2", None)
-    is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
+    # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black. Pillow misreads channels
+    #    of 16 bits that are stored one after the other.
+    tags = picture.tag_v2.named() if picture.format == "TIFF" else {}
+    bits = tags.get("BitsPerSample", ())
+    is_plain = picture.mode != "F" and 2 not in tags.get("SampleFormat", ())  # 2: signed
     if tags and picture.mode.startswith("I"):  # gray of more than 8 bits
-        is_plain &= tags.get(_BITS_PER_SAMPLE) == (16,) and tags.get(_PHOTOMETRIC) == _BLACK_IS_ZERO
-    elif tags and tags.get(_PLANAR) == _BY_CHANNEL:
-        is_plain &= 16 not in tags.get(_BITS_PER_SAMPLE, ())
-    if picture.mode == "F" or not is_plain:
+        is_plain &= bits == (16,) and tags.get("PhotometricInterpretation") == 1  # 1: 0 is black
+    elif 16 in bits:
+        is_plain &= tags.get("PlanarConfiguration") != 2  # 2: one channel after the other
+    if not is_plain:
         expected = "black, gray or color in 8 or 16 bits, unsigned and 0 for black"
         advice = f"save it in 8 bits for a map of walls; {_TIFF_ADVICE}"
         raise ValueError(f"expected {expected}, got a TIFF of other pixels: {advice}.")
@@ -235,8 +232,7 @@ def read_cost_map(
 
     Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
     adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`. For a GeoTIFF of cost factors, use
-    ``RasterCost(path)``.
+    :meth:`RasterCost.from_occupancy_grid`. A GeoTIFF of cost factors is read by ``RasterCost(path)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, or all cells are

@@ -17,9 +17,9 @@ import shapely
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
 from plr_jax._arrays import as_numbers, shortened
-from plr_jax._files import errors_named, file_path, json_of, text_of
+from plr_jax._files import errors_named, json_of, text_of
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import as_polygon
+from plr_jax.geometry.boundary import as_polygon, flatten_collections
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._grids import read_map
@@ -39,9 +39,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
     Other keys are ignored. ``squeeze`` says whether a path may pass between two obstacles that touch in one point.
     An invalid file raises ``ValueError``.
     """
-    path = file_path(path)
-    with errors_named(path):
-        match json_of(path):
+    with errors_named(path) as file:
+        match json_of(file):
             case {"components": list(components)}:
                 pass
             case {"outer": outer, **others} | {"boundary": outer, **others}:
@@ -88,10 +87,9 @@ def read_geojson(
         ValueError: If the file is not GeoJSON, has other geometries or a polygon that crosses itself or is not
             finite, nothing is free, or an argument is invalid.
     """
-    path = file_path(path)
-    with errors_named(path):
+    with errors_named(path) as file:
         # 1. Read the polygons. GEOS refuses features whose geometry is null, which GeoJSON allows: skip them.
-        if not _is_geojson(document := json_of(path)):
+        if not _is_geojson(document := json_of(file)):
             raise ValueError(f'expected GeoJSON of "type" {", ".join(_SUPPORTED_TYPES)}, got {shortened(document)}.')
         if isinstance(items := document.get("features"), list):
             document["features"] = [f for f in items if not isinstance(f, dict) or f.get("geometry", f) is not None]
@@ -105,7 +103,7 @@ def read_geojson(
             if (corners := as_numbers('"bbox"', bbox, expected)).shape not in ((4,), (6,)):
                 raise ValueError(f'"bbox" must be {expected}, got {shortened(bbox)}.')
             bounds = corners.reshape(2, -1)[:, :2]
-        return _workspace_of(path, geometry, polygons, bounds, squeeze)
+        return _workspace_of(file, geometry, polygons, bounds, squeeze)
 
 
 def read_wkt(
@@ -122,9 +120,8 @@ def read_wkt(
     of :func:`read_geojson`, except for two defaults: polygons are free space, and bounds are the bounding box of the
     polygons.
     """
-    path = file_path(path)
-    with errors_named(path):
-        text = text_of(path)
+    with errors_named(path) as file:
+        text = text_of(file)
         codes = np.frombuffer(text.encode(), np.uint8)
         depth = np.cumsum((codes == ord("(")).astype(np.int64) - (codes == ord(")")))  # of nested parentheses
         if depth.max(initial=0) > _MOST_NESTED:
@@ -137,13 +134,7 @@ def read_wkt(
         except (shapely.errors.GEOSException, NotImplementedError) as error:
             advice = "Put several geometries into a GEOMETRYCOLLECTION."
             raise ValueError(f"expected one geometry in WKT, got something else ({error}). {advice}") from None
-        return _workspace_of(path, geometry, polygons, bounds, squeeze)
-
-
-def _parts(geometry: Any) -> list[Any]:
-    if isinstance(geometry, BaseMultipartGeometry):
-        return [leaf for part in geometry.geoms for leaf in _parts(part)]
-    return [geometry]
+        return _workspace_of(file, geometry, polygons, bounds, squeeze)
 
 
 def _workspace_of(
@@ -157,19 +148,17 @@ def _workspace_of(
     """
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
-    parts = enumerate(_parts(shapely.force_2d(geometry)))
-    shapes = [as_polygon(f"polygon {i}", part) for i, part in parts if not part.is_empty]
+    parts = flatten_collections(shapely.force_2d(geometry), BaseMultipartGeometry)
+    shapes = [as_polygon(f"polygon {i}", part) for i, part in enumerate(parts) if not part.is_empty]
     if not shapes:
         raise ValueError("expected at least one polygon, got none: all geometries of the file are empty.")
     extent = shapely.total_bounds(shapes).reshape(2, 2)
     width = np.ptp(extent, axis=0).max()
     # A town in degrees is small and far from the origin, and within 180 and 90 degrees.
     if (np.abs(extent) <= _DEGREES).all() and width < _MAX_TOWN and np.abs(extent).max() > 10 * width:
-        problem = (
-            f"{path}: coordinates look like degrees of longitude and latitude, but are used as points of a plane"
-        )
-        reason = "in which a degree is as long along x as along y"
-        warnings.warn(f"{problem}, {reason}. Project them first, for example to UTM.", stacklevel=3)
+        problem = f"{path}: coordinates look like degrees of longitude and latitude"
+        use = "but are used as points of a plane, in which a degree is as long along x as along y"
+        warnings.warn(f"{problem}, {use}. Project them first, for example to UTM.", stacklevel=3)
     box = Box.of(extent if bounds is None else bounds, "bounds")
     if polygons == "free":
         return Workspace.from_polygons(shapes, box, squeeze=squeeze)

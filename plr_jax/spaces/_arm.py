@@ -15,7 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots import shorter_turn
 from plr_jax.spaces._plane import crosses_walls, near_walls, segment_distances, walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, batches
+from plr_jax.spaces._space import MotionCost, as_boxes, as_motions, batches, states_of_boxes
 
 _BOXES = 1 << 14  # boxes handled together, which bounds the memory
 _MOTIONS = 1 << 10  # motions handled together
@@ -114,13 +114,7 @@ class PlanarArm:
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of joint angles (radians) are FREE, BLOCKED or MIXED; see :class:`CellState`."""
         center, half = as_boxes(lo, hi, self.dof)
-        state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        for part in batches(np.arange(len(center)), _BOXES):
-            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
-        rows = np.flatnonzero(state == CellState.MIXED)
-        rows = rows[~self.is_free(center[rows])]
-        state[rows[self._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED
-        return state
+        return states_of_boxes(self, center, half, np.arange(len(center)), _BOXES)
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, " n"]:
         # Bisect motions. A part of a motion is `center` - half to `center` + half, the diagonal of a box: the part is

@@ -150,14 +150,17 @@ class LipschitzCost:
 
 
 def cost_bounds(
-    motion_cost: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors
+    motion_cost: MotionCost, cost_map: CostMap | None, lo: Vectors, hi: Vectors
 ) -> tuple[Numbers, Numbers, Pulls | None]:
     """Return lower and upper bounds of the cost factor over boxes, and pulls for a ``DirectionalCost`` (else None).
 
     The boxes have corners ``lo`` and ``hi``. *Pulls* are two vectors per box, ``(2, n, dof)``. The cost of a motion
     ``dq`` in a box is a sum. The first term is its ``motion_cost`` times a factor within the bounds. The second term
     is the larger of the scalar products of ``dq`` with the box's two pulls, which are 0 if they are too loose.
+    Without a cost map, the factor is 1.
     """
+    if cost_map is None:
+        return np.ones(len(lo)), np.ones(len(lo)), None
     # 1. Bounds that hold in all directions.
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
@@ -206,16 +209,16 @@ def _checked_pulls(cost_map: DirectionalCost, lo: Vectors, hi: Vectors) -> tuple
     return first, second, least, most
 
 
-def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Numbers, Pulls | None]:
+def point_costs(motion_cost: MotionCost, cost_map: CostMap | None, q: Vectors) -> tuple[Numbers, Pulls | None]:
     """Return the cost factor at each configuration, ``(n,)``, and the pulls of a ``DirectionalCost`` (else None).
 
     *Pulls* are two vectors per configuration, ``(2, n, dof)``. A motion ``dq`` costs its ``motion_cost`` times the
-    factor, plus the larger of the scalar products of ``dq`` with the two pulls.
+    factor, plus the larger of the scalar products of ``dq`` with the two pulls. Without a cost map, the factor is 1.
     """
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
-    factors = as_values("The cost map", cost_map(q), len(q))
+    factors = np.ones(len(q)) if cost_map is None else as_values("The cost map", cost_map(q), len(q))
     _require((factors > 0) & (factors < np.inf), "A cost map's factors must be positive and finite", [factors], [q])
     return factors, None
 

@@ -17,19 +17,23 @@ from plr_jax._arrays import as_numbers, filled_with_inf
 from plr_jax._files import errors_named
 from plr_jax.geometry.box import Box
 
-# Attributes of a DataArray: values of cells without data; scale and offset of stored values; reference systems.
+# Attributes of a DataArray: values of cells without data; scales and offsets of values; reference systems.
 _NO_DATA = "_FillValue", "missing_value", "nodata", "nodatavals", "fill_value"
 _SCALES = ("scale_factor", 1.0), ("scales", 1.0), ("add_offset", 0.0), ("offsets", 0.0)
 _REFERENCES = "crs_wkt", "spatial_ref", "crs", "grid_mapping_name"
-# The first such word of a reference system tells its kind: group 1 is geographic, else it is projected.
+# The first of these words in a reference system tells whether it is geographic (group 1) or projected.
 _KIND = re.compile(
     r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=(?!OB_TRAN)", re.IGNORECASE
+)
+# Units and radii (in meters, or feet) of geographic reference systems whose coordinates are not degrees on the Earth.
+_ELSEWHERE = re.compile(
+    r'"grad"|(?:(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*|\+[AR]=)(?!(?:6[34]|20[89])\d{5}\b)', re.IGNORECASE
 )
 _X_NAMES = {"x", "lon", "longitude", "easting"}
 _Y_NAMES = {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
 _UNEVEN = 0.02  # largest distance of a coordinate from even spacing, as a share of a cell
-_HUGE = 1e30  # no cost or height is so far below 0
+_LEAST = -1e30  # costs and heights below are values of cells without data
 
 
 def is_data_array(raster: Any) -> bool:
@@ -40,73 +44,63 @@ def is_data_array(raster: Any) -> bool:
 def opened(name: str, raster: Any) -> Any:
     """Read the file of a raster if ``raster`` is its path, a ``str`` or ``os.PathLike``; else return ``raster``.
 
-    rioxarray reads the file's only band, scales it as the file states, and puts NaN into cells without data. Error
-    messages call the raster ``name``.
+    rioxarray reads the file's only band, scales it as the file states, and puts NaN into cells without data.
     """
     if not isinstance(raster, str | os.PathLike):
         return raster
-    try:
-        import rioxarray
-        from rasterio.errors import RasterioIOError
-    except ImportError as error:
-        raise ImportError(f"{name}: files of rasters need rioxarray: pip install 'plr-jax[gis]'.") from error
-    options: Any = {"mask_and_scale": True, "decode_times": False, "cache": False}  # units of costs may be minutes
     with errors_named(raster):
         try:
-            file = rioxarray.open_rasterio(raster, **options)
-            if not is_data_array(file):
-                raise ValueError(f"{name} must be one raster, got a file of several: open one by rioxarray.")
-            with file:
-                if file.shape[0] != 1:
-                    advice = "rioxarray.open_rasterio(path, mask_and_scale=True).sel(band=1)"
-                    raise ValueError(f"{name} must have one band, got {file.shape[0]}: choose one, as by {advice}.")
-                band = file.squeeze(file.dims[0]).load()
-        except RasterioIOError as error:
+            import rioxarray
+
+            # Values stay numbers if their unit is minutes (decode_times), and are read once (cache).
+            file: Any = rioxarray.open_rasterio(raster, mask_and_scale=True, decode_times=False, cache=False)
+            if not is_data_array(file) or len(file) != 1:
+                advice = "choose one, as by rioxarray.open_rasterio(path, mask_and_scale=True)[0]"
+                raise ValueError(f"{name} must be a file of one band, got several: {advice}.")
+            band = file.squeeze(file.dims[0]).load()
+        except ImportError as error:
+            raise ImportError(f"{name} is a path, which needs rioxarray: pip install 'plr-jax[gis]'.") from error
+        except OSError as error:
             kind = ValueError if os.path.exists(raster) else FileNotFoundError
             raise kind(f"{name} must be a file that rioxarray reads ({error.__cause__ or error}).") from None
-    band.encoding.pop("_FillValue", None)  # such cells are NaN, and a mask of the file may allow the value
+    file.close()
+    band.encoding.pop("_FillValue", None)  # such cells are NaN; where the file's mask allows the value, it is valid
     return band
 
 
 def raster_values(name: str, raster: Any, expected: str = "a raster of numbers") -> Float[np.ndarray, "..."]:
     """Return the values of a raster as float64, with ``inf`` for cells that are masked, NaN or without data.
 
-    The attributes of a ``DataArray`` name the values of cells without data. ``expected`` describes a valid raster in
-    error messages. The result is a copy.
+    A ``DataArray`` names the values of cells without data. ``expected`` describes a valid raster in error messages.
+    The result is a copy.
     """
     cells: Any = np.asarray(raster) if is_data_array(raster) else filled_with_inf(raster)
-    numbers = as_numbers(name, cells, expected)
-    has_no_data = np.isnan(numbers)
-    for value in _no_data_values(name, raster, cells.dtype) if is_data_array(raster) else ():
-        has_no_data |= cells == value
-    values = np.where(has_no_data, np.inf, numbers)
-    if values.size and values.min() < -_HUGE:
+    values = np.array(as_numbers(name, cells, expected))
+    with np.errstate(over="ignore"):
+        for number in _no_data_values(name, raster) if is_data_array(raster) else ():
+            # NumPy rounds Python's number to the type of the cells. Cells of 64 bits may have been float32 before.
+            rounded = np.float32(number) if cells.dtype.kind == "f" else number
+            values[(cells == number) | (cells == rounded)] = np.inf
+    values[np.isnan(values)] = np.inf
+    if (lowest := values.min(initial=0.0, where=values > -np.inf)) < _LEAST:
         advice = "mask such cells, or name the value by raster.rio.write_nodata"
-        raise ValueError(f"{name} must be {expected}, got {values.min():g}, which looks like no data: {advice}.")
+        raise ValueError(f"{name} must be {expected}, got {lowest:g}, which looks like no data: {advice}.")
     return values
 
 
-def _no_data_values(name: str, raster: Any, dtype: np.dtype) -> set[float]:
-    """Return the values of cells without data that a ``DataArray`` names, rounded to the type of its cells.
-
-    ``ValueError`` is raised if attributes state that cells are not scaled yet.
-    """
-    is_stored, is_scaled = (
-        any(number != neutral for key, neutral in _SCALES for number in _numbers(table.get(key)))
-        for table in (raster.attrs, raster.encoding)
-    )
-    if is_stored:
-        advice = "open it with mask_and_scale=True, or delete these attributes if its values are scaled"
-        raise ValueError(f"{name} must have scaled values, got the attributes scale_factor and add_offset: {advice}.")
-    # An encoding describes the file: scaled cells are not comparable with its value.
-    values = [table.get(key) for table in (raster.attrs, {} if is_scaled else raster.encoding) for key in _NO_DATA]
+def _no_data_values(name: str, raster: Any) -> set[float]:
+    """Return the values of cells without data that a ``DataArray`` names; check that its values are scaled."""
+    values = set()
+    for table in (raster.attrs, raster.encoding):
+        is_scaled = any(number != neutral for key, neutral in _SCALES for number in _numbers(table.get(key)))
+        if is_scaled and table is raster.attrs:
+            advice = "open it with mask_and_scale=True, or delete the attributes if its values are scaled"
+            raise ValueError(f"{name} has attributes scale_factor or add_offset of values to be scaled: {advice}.")
+        # An encoding describes the file: its value is not comparable with cells that were scaled since.
+        values |= {number for key in _NO_DATA if not is_scaled for number in _numbers(table.get(key))}
     with suppress(Exception):  # rioxarray may not be imported
-        values.append(raster.rio.nodata)
-    numbers = {number for value in values for number in _numbers(value)}
-    if dtype.kind != "f":
-        return numbers
-    with np.errstate(over="ignore"):  # cells may have been float32 when the value was written
-        return {dtype.type(number) for number in numbers} | {dtype.type(np.float32(number)) for number in numbers}
+        values = values or set(_numbers(raster.rio.nodata))
+    return values
 
 
 def _numbers(value: Any) -> list[float]:
@@ -143,7 +137,6 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     sides = np.array([abs(along[-1] - along[0]) / max(len(along) - 1, 1) for along in coordinates])
     cell = np.abs([dx, dy]) if 0 < abs(dx * dy) < np.inf else np.ones(2)
     sides = np.where(np.array(raster.shape[::-1]) > 1, sides, cell * ((sides / cell).max() or 1.0))
-    lo, hi, slices = [], [], []
     for axis, along, side in zip(axes, coordinates, sides, strict=True):
         if not np.isfinite(along).all():
             raise ValueError(f"coordinates {axis!r} must be finite, got {along[~np.isfinite(along)][0]}.")
@@ -151,25 +144,35 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
             steps = np.diff(along)
             spaced = f"got steps from {steps.min():g} to {steps.max():g}"
             raise ValueError(f"coordinates {axis!r} must be evenly spaced, {spaced}.")
-        lo.append(along.min() - side / 2)
-        hi.append(lo[-1] + side * len(along))
-        slices.append(slice(None, None, -1 if along[0] > along[-1] else None))
-    return Box(lo, hi), (slices[1], slices[0])  # slices of rows (y) come first
+    lo = np.array([along.min() for along in coordinates]) - sides / 2
+    columns, rows = (slice(None, None, -1 if along[0] > along[-1] else None) for along in coordinates)
+    return Box(lo, lo + sides * raster.shape[::-1]), (rows, columns)
 
 
 def is_in_degrees(raster: Any) -> bool:
     """Return whether the coordinates of a ``DataArray`` are degrees of longitude and latitude.
 
     The units of the coordinates decide; else the first reference system that is found; else the dimensions' names.
+    Reference systems of other planets, or in other units, raise ``ValueError``.
     """
-    if any(str(raster[axis].attrs.get("units", "")).lower().startswith("degree") for axis in raster.dims):
+    units = [str(raster[axis].attrs.get(key)).lower() for axis in raster.dims for key in ("units", "standard_name")]
+    if any(unit.startswith(("degree", "longitude", "latitude")) for unit in units):
         return True
     tables = [*(coordinate.attrs for coordinate in raster.coords.values()), raster.attrs]
-    for text in (str(table[key]) for table in tables for key in _REFERENCES if key in table):
-        if kind := _KIND.search(text):
-            return kind[1] is not None
-        with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
-            import pyproj
+    texts = [str(table[key]) for table in tables for key in _REFERENCES if key in table]
+    with suppress(Exception):  # rioxarray may not be imported
+        texts.append(raster.rio.crs.to_wkt())
+    for text in texts:
+        if not (kind := _KIND.search(text)):
+            with suppress(Exception), warnings.catch_warnings(action="ignore"):  # not installed, or no such system
+                import pyproj
 
-            return pyproj.CRS.from_user_input(text).is_geographic
-    return any(str(axis).lower() in _DEGREES for axis in raster.dims)
+                text = pyproj.CRS.from_user_input(text).to_wkt()
+                kind = _KIND.search(text)
+        if kind:
+            if kind[1] and _ELSEWHERE.search(text):
+                raise ValueError(f"Coordinates must be degrees on the Earth, got {text[:60]}...: project the raster.")
+            return kind[1] is not None
+    # GDAL keeps the attributes of a NetCDF file's coordinates under names such as "lat#units".
+    names = [*map(str, raster.dims), *(key.split("#")[0] for key in map(str, raster.attrs) if "#" in key)]
+    return any(name.lower() in _DEGREES for name in names)

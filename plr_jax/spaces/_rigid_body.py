@@ -15,7 +15,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import Robot, check_body, side_offsets
 from plr_jax.spaces._plane import BodySpace, Booleans, PlaneSpace, near_walls, walls_within
-from plr_jax.spaces._space import CellState, MotionCost, as_boxes, batches
+from plr_jax.spaces._space import MotionCost, as_boxes, states_of_boxes
 
 # Radians. If the headings of a box differ by less than this from the middle heading, a polygon encloses the body at
 # all headings, else its circumscribed circle does.
@@ -81,16 +81,10 @@ class RigidBodySpace(BodySpace):
         # 1. A body far from all walls is free. This test is fast.
         reach = _motion_bounds(half, 0.0)  # of the reference point; `has_room` allows any heading
         has_room = motion_test(self.workspace, self.robot).has_room(center[:, 0], center[:, 1], reach)
-        state = np.where(has_room, CellState.FREE, CellState.MIXED).astype(np.int8)
         # 2. Enclose what the body covers in the other boxes, batch by batch. A core of k vertices leads to hulls
         #    of 4 * (2 * k + 1) points.
-        for part in batches(np.flatnonzero(~has_room), max(1, _POINTS // (8 * len(self.robot.core) + 4))):
-            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
-        # 3. Of the other boxes, those whose center is not free may be blocked.
-        unsure = np.flatnonzero(state == CellState.MIXED)
-        unsure = unsure[~self.is_free(center[unsure])]
-        state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
-        return state
+        at_once = max(1, _POINTS // (8 * len(self.robot.core) + 4))
+        return states_of_boxes(self, center, half, np.flatnonzero(~has_room), at_once)
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
         """Return whether each box of positions and headings is proven free.

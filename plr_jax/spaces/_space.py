@@ -5,10 +5,9 @@ from enum import IntEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int, Int8
 
-from plr_jax._arrays import as_booleans, as_finite, as_points, set_fields, shortened
-from plr_jax._arrays import batches as batches
+from plr_jax._arrays import as_booleans, as_finite, as_points, batches, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 
@@ -194,6 +193,24 @@ def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, " n"]:
     if answer.shape != (n,) or not np.isin(answer, list(CellState)).all():
         raise ValueError(f"classify must return one CellState per box, shape ({n},), got {shortened(states)}.")
     return answer.astype(np.int8)
+
+
+def states_of_boxes(
+    space: Any, center: Configurations, half: Configurations, unsure: Int[np.ndarray, " m"], at_once: int
+) -> Int8[np.ndarray, " n"]:
+    """Return the states of boxes from ``center - half`` to ``center + half``, as far as a space can prove them.
+
+    Boxes that are not ``unsure`` (indices) are known to be FREE. ``at_once`` boxes are tested together, which bounds
+    the memory.
+    """
+    state = np.full(len(center), CellState.FREE, np.int8)
+    for part in batches(unsure, at_once):
+        state[part[~space._boxes_are_free(center[part], half[part])]] = CellState.MIXED
+    # Of the boxes that are not proven free, those whose center is not free may be blocked.
+    rows = np.flatnonzero(state == CellState.MIXED)
+    rows = rows[~space.is_free(center[rows])]
+    state[rows[space._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED
+    return state
 
 
 def precision_of(numbers: ArrayLike) -> float:

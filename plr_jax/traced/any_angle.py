@@ -7,7 +7,7 @@ this corner is equally long. Cells are bits of words, so that all cells of a row
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import jax.numpy as jnp
@@ -93,17 +93,14 @@ def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Arr
     ``table`` has the cells that each segment crosses, as packed bits (see :func:`crossed_cells`); ``blocked`` has the
     blocked cells in the same form.
     """
-    hit = jnp.zeros((), jnp.uint32)
-    for crossed, word in zip(table, blocked, strict=True):
-        hit |= crossed & word
-    return hit == 0
+    hits = (crossed & word for crossed, word in zip(table, blocked, strict=True))
+    return reduce(jnp.bitwise_or, hits) == 0
 
 
 @lru_cache(maxsize=8)
 def lattice(shape: Shape) -> Float[np.ndarray, "corners 2"]:
     """Return the points ``(x, y)`` inside the grid at which four cells meet, row by row."""
-    rows, columns = np.mgrid[1 : shape[0], 1 : shape[1]].reshape(2, -1)
-    return np.stack([columns, rows], axis=1).astype(float)
+    return cell_centers((shape[0] - 1, shape[1] - 1)) + 0.5
 
 
 def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:

@@ -63,6 +63,7 @@ def roadmap(**changes):
         (lambda: GridGraph(DOOR.astype(int)), "booleans of shape .*got int64 of shape"),
         (lambda: GridGraph(DOOR[:0]), "at least one"),
         (lambda: GridGraph(DOOR, connectivity=6), "connectivity must be 4 or 8, got 6"),
+        (lambda: GridGraph(DOOR, squeeze=True), "squeeze=True needs connectivity=8"),
         (lambda: GridGraph(DOOR, (2, 0)), "The goal must be in a free cell"),
         (lambda: GridGraph(DOOR)(np.zeros((1, 2))), "must have a goal: use"),
         (lambda: GridGraph(DOOR, (0, 0))(np.zeros((1, 3))), r"x must have shape \(n, 2\)"),

@@ -7,6 +7,7 @@ from grid_helpers import all_pairs, drawn, published_queries
 from grid_helpers import dijkstra as dijkstra_of_grid
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import ndimage
 from scipy.interpolate import RegularGridInterpolator
 from voxel_helpers import random_volume
 
@@ -30,6 +31,17 @@ def test_all_points_of_a_cell_have_its_distance():
 def test_diagonal_steps_do_not_cut_corners():
     assert at(GridGraph(DOOR, (1, 0), connectivity=8), (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(2**0.5)]
     assert at(GridGraph(drawn(".#", "#."), (0, 0), connectivity=8), (1, 1)) == [np.inf]
+
+
+def test_squeezing_steps_join_cells_that_touch_in_a_corner():
+    free = np.random.default_rng(0).random((30, 40)) > 0.6
+    free[0, 0] = True
+    label, _ = ndimage.label(free, np.ones((3, 3)))
+    graph = GridGraph(free, (0, 0), connectivity=8, squeeze=True)
+    cells = np.argwhere(np.ones_like(free))[:, ::-1]
+    np.testing.assert_array_equal(np.isfinite(graph(cells)), label.ravel() == label[0, 0])
+    passed = GridGraph(DOOR, (1, 0), connectivity=8, squeeze=True)
+    assert at(passed, (2, 1), (3, 0)) == pytest.approx([2**0.5, 2 * 2**0.5])
 
 
 def test_blocked_and_outside_points_are_unreachable():

@@ -6,11 +6,13 @@ from pair_helpers import MAZE
 from piece_helpers import TEN, WORKSPACES, box
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs
+from plr_jax.geometry.cell_sight import corners_of_cells
 from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.pairs.construct import corners_seen, grow_lists, lattice_step
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import GivenLimits, check_limits
+from plr_jax.plr.tree import Cells
 
 LIMITS = check_limits(leaf_model("cone"), 2, Proof.NONE, 13, GivenLimits(max_bytes=10_000))
 
@@ -83,15 +85,16 @@ def grown(workspace, most_leaves):
     visibility = CornerVisibility.of(workspace)
     bounds = workspace.bounds
     root = corners_seen(visibility, workspace.triangulation, bounds)
-    lists = grow_lists(root, workspace.bounds, LIMITS, most_leaves, lambda lists: 0)
-    return visibility.corners, lists, *lists.cells.boxes(workspace.bounds)
+    cells, lists = grow_lists(root, workspace.bounds, LIMITS, most_leaves, lambda leaves: 0)
+    assert np.ldexp(1.0, -cells.depth.sum(axis=1)).sum() == 1
+    return visibility.corners, lists, *cells.boxes(workspace.bounds)
 
 
 def listed_at(grown_lists, x):
     """The corners that are listed for the first leaf that holds a point."""
     corners, lists, lo, hi = grown_lists
     cell = np.flatnonzero(((lo <= x) & (x <= hi)).all(axis=1))[0]
-    return corners.points[lists.corner[lists.cell == cell]]
+    return corners.points[lists[[cell]].indices]
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
@@ -103,18 +106,23 @@ def test_lists_hold_first_turns_of_all_paths(kind, seed):
     paths = [oracle.with_goal(goal).shortest_path(x) for goal in goals for x in starts]
     for most_leaves in (1, 40):
         lists = grown(workspace, most_leaves)
+        assert len(lists[2]) >= most_leaves // 4
         for start, turn, *_ in (path for path in paths if len(path) > 2):
             assert (np.abs(listed_at(lists, start) - turn).max(axis=1, initial=0.0) <= 1e-9).any()
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
 def test_corners_seen_by_a_whole_cell_are_seen_from_its_points(kind):
-    workspace = kind(np.random.default_rng(7))
-    corners, lists, lo, hi = grown(workspace, 40)
-    assert len(lists.cells) > 10 and (np.diff(lists.cell) >= 0).all() and lists.by_all.any()
-    assert np.ldexp(1.0, -lists.cells.depth.sum(axis=1)).sum() == 1
-    entry = np.flatnonzero(lists.by_all)
-    for points in np.random.default_rng(8).uniform(lo, hi, (20, *lo.shape)):
-        own, corner = points[lists.cell[entry]], corners.points[lists.corner[entry]]
+    workspace, cells = kind(np.random.default_rng(7)), Cells.root(2)
+    visibility, domain = CornerVisibility.of(workspace), workspace.bounds
+    visible = corners_seen(visibility, workspace.triangulation, domain)
+    for axis in (0, 1, 0, 1, 0):
+        cells, parent = cells.split(np.full(len(cells), axis)), np.repeat(np.arange(len(cells)), 2)
+        is_upper = np.arange(len(cells)) % 2 == 1
+        visible = visible.parts(parent, np.full(len(cells), axis), is_upper, *cells.grown_boxes(domain))
+    cell, corner, by_all = corners_of_cells(visible)
+    assert by_all.any()
+    for points in np.random.default_rng(8).uniform(*cells.boxes(domain), (20, len(cells), 2)):
+        own, seen = points[cell[by_all]], visibility.corners.points[corner[by_all]]
         free = workspace.is_free(own)
-        assert workspace.is_visible(own[free], corner[free]).all()
+        assert workspace.is_visible(own[free], seen[free]).all()

@@ -142,6 +142,7 @@ TEXT = cast(Any, "here")
         (lambda pairs: pairs(jnp.zeros(2, complex), jnp.zeros(2)), "real"),
         (lambda pairs: pairs.to([7, 0]), "The goal must be in a free cell"),
         (lambda pairs: construct_grid_pairs(TEXT), "graph must be a grid, such as GridGraph"),
+        (lambda pairs: construct_grid_pairs(GridGraph(ROOMS, connectivity=8, squeeze=True)), "not have squeeze=True"),
         (lambda pairs: GridPairs.from_bytes(TEXT), "bytes of a file"),
     ],
 )

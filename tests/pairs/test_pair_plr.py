@@ -2,6 +2,7 @@
 
 import math
 import tracemalloc
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -10,11 +11,11 @@ import numpy as np
 import pytest
 from pair_helpers import MAZE, exact, serpentine, stored_ring, two_batches
 from piece_helpers import TEN, box
+from scipy.sparse import csr_array
 
 import plr_jax
 from plr_jax import Box, PairPLR, VisibilityGraph, Workspace, construct_pairs, scenes
 from plr_jax.pairs.pair_plr import pairs_from_bytes
-from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr.tree import Cells, tree_of
 
 INSIDE = np.array([0.1, 0.1])
@@ -178,9 +179,8 @@ def test_one_goal_gives_a_plr_of_cones(maze, goal):
 
 
 def test_leaves_are_halved_or_joined_for_one_goal(maze):
-    stored, count = maze.stored, maze.num_corners
-    one_leaf = tree_of(Cells.root(2)), np.zeros(count, int), np.arange(count)
-    single = PairsFileData(stored.domain, stored.outline, stored.corner, stored.edges, *one_leaf, stored.rounding)
+    stored = maze.stored
+    single = replace(stored, tree=tree_of(Cells.root(2)), lists=csr_array(np.ones((1, maze.num_corners), bool)))
     coarse = pairs_from_bytes(single.to_bytes())
     goal, x = MAZE.sample_free(1, seed=8)[0], MAZE.sample_free(4000, seed=3)
     assert coarse.num_leaves == 1 and np.abs(np.asarray(coarse.to(goal)(x)) - maze(x, goal)).mean() < 1e-4

@@ -8,6 +8,7 @@ import pytest
 import shapely
 from pair_helpers import MAZE, serpentine, stored_ring, two_batches
 from piece_helpers import TEN, WORKSPACES, box
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import floyd_warshall
 
 from plr_jax import Box, Workspace
@@ -71,7 +72,7 @@ def test_ends_of_thin_obstacles_stay_when_walls_move():
     assert not found.ends_sight(0.1).any()
 
 
-FIELDS = ("corner", "edges", "leaf", "listed", "rounding", "points")
+FIELDS = ("corner", "edges", "rounding", "points")
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +100,8 @@ def check_read_as_written(stored):
     assert again.to_bytes() == stored.to_bytes()
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(again, name), getattr(stored, name))
-    np.testing.assert_array_equal(again.outline.thin, stored.outline.thin)
+    np.testing.assert_array_equal(again.lists.toarray(), stored.lists.toarray())
+    np.testing.assert_array_equal(again.outline.is_thin, stored.outline.is_thin)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -109,7 +111,7 @@ def test_files_are_read_as_written(seed):
         row, rest = rng.integers(len(cells)), np.arange(len(cells))
         halves = cells[np.array([row])].split(rng.integers(2, size=1))
         cells = cells[rest[:row]].append(halves, cells[rest[row + 1 :]])
-    lists = np.nonzero(rng.random((len(cells), count)) < 0.4)  # some lists are empty
+    lists = rng.random((len(cells), count)) < 0.4  # some lists are empty
     joined = [(i, j) for j in range(count) for i in range(j) if rng.random() < 0.3]
     check_read_as_written(stored_ring(rng.integers(0, 99, (count, 2)), (100, 100), joined, cells, lists, 0.5))
 
@@ -120,7 +122,7 @@ def test_edges_between_last_corners_are_read_as_written():
 
 def test_files_of_too_large_tables_raise(stored, monkeypatch):
     ring = stored_ring([(0, 0), (9, 0), (9, 9)], (9, 9), cells=Cells.root(2).split(np.zeros(1, int)))
-    ring = replace(ring, leaf=np.repeat([0, 1], 3), listed=np.tile([0, 1, 2], 2))
+    ring = replace(ring, lists=csr_array(np.ones((2, 3), bool)))
     monkeypatch.setattr("plr_jax.pairs.stored._MOST_ENTRIES_A_BYTE", 0)
     for most, message in ((5, "more entries"), (6, None)):
         monkeypatch.setattr("plr_jax.pairs.stored._LEAST_ENTRIES", most)

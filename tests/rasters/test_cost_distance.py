@@ -1,11 +1,13 @@
 """Cost distances over rasters, compared with closed forms, exact shortest paths and sums along paths."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy import ndimage
-from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize_scalar
 
 from plr_jax import VisibilityGraph, Workspace, cost_distance
@@ -110,10 +112,17 @@ def test_paths_go_around_barriers():
     assert (result.nearest == np.where(reached, 0, -1)).all()
 
 
+@pytest.mark.parametrize("num_parts", [1, 3_000])  # cells are not divided; cells are divided
 @pytest.mark.parametrize("heights", [None, np.zeros((2, 2))])
-def test_no_path_passes_between_touching_barriers(heights):
-    result = cost_distance([[1, np.nan], [np.nan, 1]], [(0.9, 0.9)], heights=heights)
-    assert np.isfinite(result.distance).tolist() == [[True, False], [False, False]]
+def test_no_path_passes_between_touching_barriers(heights, num_parts, monkeypatch):
+    monkeypatch.setattr(_cost_distance, "_FINE_CELLS", num_parts)
+    for source, reached in [((0.9, 0.9), (True, False)), ((0.5, 0.5), (True, False)), ((1.5, 1.5), (False, True))]:
+        result = cost_distance([[1, np.nan], [np.nan, 1]], [source], heights=heights)
+        assert np.isfinite(result.distance[[0, 1], [0, 1]]).tolist() == list(reached)
+        assert np.isinf(result.distance[[0, 1], [1, 0]]).all()
+    if heights is None:  # a source between the barriers is a source of both cells
+        result = cost_distance([[1, np.nan], [np.nan, 1]], [(1, 1)])
+        np.testing.assert_allclose(result.distance[[0, 1], [0, 1]], np.sqrt(0.5))
 
 
 def test_masks_number_sources_by_rows():
@@ -167,13 +176,29 @@ def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp
         read.close()
 
 
-def cost_along(path, costs):
-    """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two."""
+def cost_along(path, costs, side=(1, 1), heights=None, slope_cost=None):
+    """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two.
+
+    Heights are bilinear where the polyline crosses a row or a column of centers, and linear between these places.
+    """
     total = 0.0
-    for begin, change in zip(path[:-1], np.diff(path, axis=0), strict=True):
-        x = begin + (np.arange(10_000)[:, None] + 0.5) / 10_000 * change
-        j, i = np.floor(x[:, None] + list(product((-1e-9, 1e-9), repeat=2))).astype(int).transpose(2, 0, 1)
-        total += np.linalg.norm(change) * costs[i, j].min(axis=1).mean()
+    for begin, end in pairwise(path / side):
+        change, length = end - begin, np.linalg.norm((end - begin) * side)
+        borders, lines = (
+            np.concatenate([(np.arange(-1, 99) + half - b) / c for b, c in zip(begin, change, strict=True) if c])
+            for half in (0, 0.5)
+        )
+        cuts, lines = (np.unique(np.clip(np.append(each, (0, 1)).round(12), 0, 1)) for each in (borders, lines))
+        cuts = np.union1d(cuts, lines)
+        middles = begin + (cuts[:-1, None] + cuts[1:, None]) / 2 * change
+        j, i = np.floor(middles[:, None] + list(product((-1e-9, 1e-9), repeat=2))).astype(int).transpose(2, 0, 1)
+        padded = np.pad(costs, 1, constant_values=np.inf)
+        rates = padded[np.clip(i + 1, 0, len(costs) + 1), np.clip(j + 1, 0, costs.shape[1] + 1)].min(axis=1)
+        if heights is not None:
+            at = (begin + lines[:, None] * change)[:, ::-1].T - 0.5
+            height = np.interp(cuts, lines, ndimage.map_coordinates(heights, at, order=1, mode="nearest"))
+            rates = rates * slope_cost(np.diff(height) / (np.diff(cuts) * length))
+        total += length * np.diff(cuts) @ rates
     return total
 
 
@@ -186,26 +211,37 @@ def test_cost_along_path_is_the_distance(side):
         path = result.path((j + 0.9, i + 0.1))  # anywhere in the cell
         np.testing.assert_array_equal(path[0], (j + 0.5, i + 0.5))
         np.testing.assert_array_equal(path[-1], sources[result.nearest[i, j]])
-        along = cost_along(path, np.where(np.isnan(costs), 1e9, costs))
-        np.testing.assert_allclose(along, result.distance[i, j], rtol=1e-3)
+        np.testing.assert_allclose(cost_along(path, np.nan_to_num(costs, nan=np.inf)), result.distance[i, j])
     assert result.path(sources[1]).tolist() == [[side + 1.5, 1.5]]
 
 
-@pytest.mark.parametrize("from_sources", [False, True])
-def test_paths_over_heights_have_the_directed_cost(from_sources):
-    heights = ndimage.gaussian_filter(np.random.default_rng(0).normal(size=(40, 50)), 3) * 40
-    options = {"heights": heights, "cell_size": 10, "from_sources": from_sources}
-    result = cost_distance(np.ones((40, 50)), [(3.1, 4.8), (45.5, 30.5)], **options)
-    height = RegularGridInterpolator((np.arange(40) + 0.5, np.arange(50) + 0.5), heights)
-    for i, j in [(39, 0), (20, 25), (0, 49)]:
-        path = result.path((10 * j + 5, 10 * i + 5))
-        walk = path[::-1] if from_sources else path
-        seconds = 0.0
-        for a, b in zip(walk[:-1] / 10, walk[1:] / 10, strict=True):
-            count = int(np.abs(b - a).max().round())  # between rows and columns of centers, heights are linear
-            slope = np.diff(height(np.linspace(a, b, count + 1)[:, ::-1])) / (10 * np.linalg.norm(b - a) / count)
-            seconds += 10 * np.linalg.norm(b - a) * np.mean(3.6 / 6 * np.exp(3.5 * np.abs(slope + 0.05)))
-        np.testing.assert_allclose(seconds, result.distance[i, j])
+@given(st.data())
+def test_cost_along_path_is_the_distance_on_every_raster(data):
+    shape = data.draw(st.tuples(st.integers(1, 8), st.integers(2, 9)))
+    costs = data.draw(arrays(float, shape, elements=st.sampled_from([1.0, 1, 2, 5, 9, np.inf])))
+    costs[0, 0] = 1
+    heights = data.draw(st.none() | arrays(float, shape, elements=st.integers(0, 12).map(float)))
+    side = data.draw(st.sampled_from([(1, 1), (2, 0.5)]))
+    squeeze, from_sources = data.draw(st.booleans()), data.draw(st.booleans())
+    options = {"heights": heights, "slope_cost": asymmetric, "cell_size": side}
+    result = cost_distance(
+        costs, [np.multiply(side, (0.3, 0.6))], squeeze=squeeze, from_sources=from_sources, **options
+    )
+    for i, j in np.argwhere(np.isfinite(result.distance)).tolist():
+        path = result.path(np.array((j + 0.5, i + 0.5)) * side)
+        path = path[::-1] if from_sources else path
+        along = cost_along(path, costs, side, heights, asymmetric)
+        np.testing.assert_allclose(along, result.distance[i, j], rtol=1e-9, atol=1e-12)
+
+
+def asymmetric(slope):
+    return 1 + slope**2 + np.maximum(slope, 0)
+
+
+def test_costs_that_vary_with_slopes_count_where_they_are():
+    costs, heights = np.array([[1.0, 9, 9, 1]] * 2), np.array([[0.0, 0, 5, 5]] * 2)
+    options = {"heights": heights, "slope_cost": lambda slope: 1 + np.abs(slope)}
+    assert cost_distance(costs, [(3.5, 0.5)], **options).distance[0, 0] == pytest.approx(5 + 9 * 6 + 5)
 
 
 def test_paths_of_data_arrays_use_their_coordinates():
@@ -288,7 +324,7 @@ TWO, FIRST = [[1, 1.0]], [(0.5, 0.5)]  # costs of two cells, and the center of t
         (TWO, FIRST, {"heights": TWO, "slope_cost": "hill"}, "or a function"),
         (TWO, FIRST, {"heights": TWO, "bounds": True}, "without bounds"),
         (TWO, FIRST, {"heights": TWO, "slope_cost": np.zeros_like}, "positive numbers of shape .*, got array"),
-        (TWO, FIRST, {"heights": TWO, "slope_cost": lambda x: [1, 2]}, r"shape \(6, 1, 2\), got array"),
+        (TWO, FIRST, {"heights": TWO, "slope_cost": lambda x: [1, 2, 3]}, r"shape \(2,\), got array"),
     ],
 )
 def test_invalid_arguments_raise(costs, sources, options, message):
@@ -322,3 +358,100 @@ def test_own_slope_costs_count_uphill_and_downhill():
     for from_sources, expected in ((False, 8), (True, 24)):
         found = cost_distance(np.ones((1, 9)), FIRST, **options, from_sources=from_sources)
         assert found.distance[0, 8] == pytest.approx(expected)
+
+
+def degrees_raster(values, west, south, step):
+    """Return a DataArray of longitudes and latitudes, from north to south; ``values`` start in the south."""
+    xarray = pytest.importorskip("xarray")
+    rows, columns = np.shape(values)
+    lat, lon = (start + step * (np.arange(count) + 0.5) for start, count in ((south, rows), (west, columns)))
+    return xarray.DataArray(np.array(values, float), {"lat": lat, "lon": lon}, ("lat", "lon"))[::-1]
+
+
+def great_circle(lon, lat, place):
+    """Return the distance in meters along great circles of the mean earth."""
+    lon, lat, (lon0, lat0) = np.radians(lon), np.radians(lat), np.radians(place)
+    cosine = np.sin(lat) * np.sin(lat0) + np.cos(lat) * np.cos(lat0) * np.cos(lon - lon0)
+    return 6_371_008.8 * np.arccos(np.clip(cosine, -1, 1))
+
+
+@pytest.mark.parametrize("most_cells", [10**6, 0])
+def test_distances_in_degrees_are_great_circles(most_cells, monkeypatch):
+    monkeypatch.setattr(_cost_distance, "MOST_CELLS", most_cells)
+    raster = degrees_raster(np.full((40, 180), 2.0), -180, -20, 2)  # around the earth, 20 S to 60 N
+    sources = [(171.0, 31.0), (-61.0, 5.0)]
+    result = cost_distance(raster, sources)
+    lon, lat = np.meshgrid(raster.lon, raster.lat)
+    truth = 2 * np.stack([great_circle(lon, lat, source) for source in sources])
+    least = truth.min(axis=0)
+    is_inside = (np.abs(lat - 20) < 25) & (least > 4e6) & (least < 1.6e7)  # other great circles leave the raster
+    error = np.abs(result.distance.values - least)[is_inside] / least[is_inside]
+    assert error.mean() < 0.002 and error.max() < 0.015
+    is_clear = is_inside & (np.abs(truth[0] - truth[1]) > 1e6)
+    assert (result.nearest.values == truth.argmin(axis=0))[is_clear].all()
+    assert result.distance.sel(lon=171, lat=31) < 1e5
+
+
+def test_paths_in_degrees_pass_the_antimeridian_and_barriers():
+    costs = np.ones((40, 180))
+    costs[10:20, 175] = np.nan
+    result = cost_distance(degrees_raster(costs, -180, -20, 2), [(-163.0, 11.0)])
+    path = result.path((161.0, 11.0))
+    np.testing.assert_allclose(path[[0, -1]], [(161, 11), (197, 11)], atol=1e-9)  # east of 180
+    steps = [great_circle(*a, b) for a, b in pairwise(path)]
+    np.testing.assert_allclose(sum(steps), result.distance.sel(lon=161, lat=11), rtol=0.003)
+    assert sum(steps) > 1.001 * great_circle(161, 11, (197, 11))
+    assert np.isinf(result.distance.values[::-1][10:20, 175]).all()
+
+
+def test_thin_barriers_in_degrees_have_no_gaps():
+    costs = np.ones((80, 30))
+    costs[np.arange(80), np.arange(80) * 30 // 80] = np.nan
+    costs[0, :] = np.nan
+    result = cost_distance(degrees_raster(costs, 10, 4, 1), [(12.5, 80.5)])
+    row, column = np.indices(costs.shape)
+    is_east = column > row * 30 // 80
+    assert np.isinf(result.distance.values[::-1][is_east]).all()
+    assert np.isfinite(result.distance.values[::-1][~is_east & np.isfinite(costs)]).all()
+
+
+@pytest.mark.parametrize("from_sources", [False, True])
+def test_heights_in_degrees_may_come_alone(from_sources):
+    metres = 6_371_008.8 * np.radians(1) * np.cos(np.radians(np.arange(50, 60) + 0.5))  # of a degree along parallels
+    heights = degrees_raster(np.tile(1e4 * np.arange(20), (10, 1)), 0, 50, 1)
+    heights[9, 19] = np.nan
+    options = {"slope_cost": lambda slope: np.where(slope > 0, 3.0, 1.0), "from_sources": from_sources}
+    result = cost_distance(1.0, [(0.5, 55.5)], heights=heights, **options)
+    expected = (3 if from_sources else 1) * 10 * metres[5]
+    np.testing.assert_allclose(result.distance.sel(lon=10.5, lat=55.5), expected, rtol=0.02)
+    assert np.isinf(result.distance.values[9, 19]) and np.isinf(result.distance).sum() == 1
+
+
+def test_a_plr_in_degrees_wraps():
+    result = cost_distance(degrees_raster(np.ones((20, 90)), -180, -40, 4), [(-178, 2)], max_bytes=1024)
+    lon = np.array([-179.9, 179.9, 170, -170])
+    values = result.plr(np.stack([lon, np.full(4, 2.0)], axis=1))
+    np.testing.assert_allclose(values, great_circle(lon, 2.0, (-178, 2)), atol=4e5)
+    assert abs(values[0] - values[1]) < 5e4
+
+
+def test_squeezing_paths_pass_between_barriers():
+    costs = np.full((4, 4), np.nan)
+    costs[range(4), range(4)] = 1
+    result = cost_distance(costs, [(0.5, 0.5)], squeeze=True)
+    np.testing.assert_allclose(result.distance[range(4), range(4)], np.sqrt(2) * np.arange(4))
+    assert result.path((3.5, 3.5)).tolist() == [[3.5, 3.5], [0.5, 0.5]]
+
+
+@pytest.mark.parametrize(
+    ("raster", "options", "message"),
+    [
+        (TWO, {"degrees": True}, "degrees=True needs a DataArray"),
+        ((np.ones((2, 2)), 0, 84, 1), {}, r"between latitudes -85 and 85 degrees, got 84 to 86: crop it"),
+        ((np.ones((2, 361)), 0, 0, 1), {}, r"at most 360 degrees, got 361"),
+        ((np.ones((2, 2)), 0, 0, 1), {"bounds": True}, "no proven bounds, since"),
+    ],
+)
+def test_invalid_degrees_raise(raster, options, message):
+    with pytest.raises(ValueError, match=message):
+        cost_distance(degrees_raster(*raster) if isinstance(raster, tuple) else raster, FIRST, **options)

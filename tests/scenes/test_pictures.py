@@ -1,13 +1,16 @@
 """Workspaces from pictures, and files that are no pictures."""
 
 import struct
+import warnings
 import zlib
+from itertools import product
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from plr_jax import Workspace, scenes
+from plr_jax.scenes._pictures import open_picture
 
 WALL = np.full((6, 8), 255, np.uint8)
 WALL[0:4, 3:5] = 0  # from the top: the way around it is below
@@ -138,6 +141,41 @@ def test_gray_tiff_is_read(tmp_path):
     for data in (tiff(gray, 8), tiff(255 - gray, 8, photometric=0), tiff(GRAYS.astype("<u2"), 16)):
         (tmp_path / "a.tif").write_bytes(data)
         assert_free(tmp_path / "a.tif", [[0, 0, 1, 1]])
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_tiffs_of_both_byte_orders_are_read_as_by_rasterio(dtype, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    path, grays = tmp_path / "a.tif", np.random.default_rng(0).integers(256, size=(16, 32)).astype(dtype)
+    for order, compress, tiled in product(("LITTLE", "BIG"), ("none", "lzw", "deflate", "packbits"), (False, True)):
+        options = {"ENDIANNESS": order, "compress": compress} | (
+            {"blockxsize": 16, "blockysize": 16} if tiled else {}
+        )
+        size = {"height": 16, "width": 32, "count": 1, "dtype": dtype, "tiled": tiled}
+        with (
+            warnings.catch_warnings(action="ignore"),
+            rasterio.open(path, "w", driver="GTiff", **size, **options) as f,
+        ):
+            f.write(grays, 1)
+        with open_picture(path) as picture:
+            np.testing.assert_array_equal(np.asarray(picture), grays)
+
+
+def test_geotiffs_that_are_no_pictures_name_their_reader(tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    place = {"height": 4, "width": 4, "transform": rasterio.Affine(10, 0, 3e5, 0, -10, 5e6), "crs": "EPSG:32633"}
+    for options in [
+        {"dtype": "int16"},
+        {"dtype": "float32"},
+        {"dtype": "uint32"},
+        {"dtype": "uint8", "compress": "lerc"},
+        {"dtype": "uint16", "count": 3, "photometric": "rgb", "interleave": "band"},
+        {"dtype": "uint8", "BIGTIFF": "YES", "ENDIANNESS": "BIG"},
+    ]:
+        with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", **{"count": 1} | place | options) as file:
+            file.write(np.ones((options.get("count", 1), 4, 4), options["dtype"]))
+        with pytest.raises(ValueError, match=r"use RasterCost or cost_distance .* pip install 'plr-jax\[gis\]'"):
+            scenes.read_image(tmp_path / "a.tif")
 
 
 def test_tiff_of_other_numbers_raises(tmp_path):
