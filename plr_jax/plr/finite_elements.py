@@ -129,10 +129,17 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     free_dofs = np.flatnonzero(is_reachable & (of_groups.diagonal() == 1))
     free_dofs = free_dofs[np.argsort(level[free_dofs], kind="stable")]
     values = csr_array(of_groups[group][:, free_dofs])
-    # 7. Prediction of degrees of freedom from coarser ones.
+    # 7. Prediction of degrees of freedom from coarser ones. At each node that a split made, the prediction is the
+    #    mean of the ends of the edge that the split halved. It is averaged over the nodes of a degree of freedom. An
+    #    end counts if both its leaf and the node's leaf are reachable.
     dof_of_group = np.full(num_groups, -1)
     dof_of_group[free_dofs] = np.arange(len(free_dofs))
-    prediction = csr_array(_edge_means(tree, unreachable, dof_of_group[group], len(free_dofs)) @ values)
+    ends, is_made = leaf_faces.corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
+    row = np.broadcast_to(dof_of_group[group].reshape(is_made.shape)[..., None], ends.shape)
+    counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None] & (row >= 0)
+    weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=len(free_dofs)), 1)
+    means = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(free_dofs), num_nodes))
+    prediction = csr_array(means @ values)
     return NodalSpace(tree, group, hanging, host_leaf, host_t, free_dofs, level[free_dofs], values, prediction)
 
 
@@ -149,22 +156,6 @@ def _face_corners(cells: Cells, faces: SharedFaces, axis: int) -> tuple[Pairs, F
     t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]  # in fractions of the leaf
     t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
     return leaf, t
-
-
-def _edge_means(tree: Tree, unreachable: Bool[np.ndarray, " leaves"], dof: Indices, num_dofs: int) -> "csr_array":
-    """Return the matrix that predicts each degree of freedom from values of nodes.
-
-    At each node that a split made, the prediction is the mean of the ends of the edge that the split halved. It is
-    averaged over the nodes of a degree of freedom. ``dof`` is the index of each node's degree of freedom, -1 for
-    none. An end counts if both its leaf and the node's leaf are reachable.
-    """
-    from scipy.sparse import csr_array
-
-    ends, is_made = leaf_faces.corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
-    row = np.broadcast_to(dof.reshape(is_made.shape)[..., None], ends.shape)
-    counts = is_made[..., None] & ~unreachable[ends >> tree.cells.dim] & ~unreachable[:, None, None] & (row >= 0)
-    weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=num_dofs), 1)
-    return csr_array((weight[row[counts]], (row[counts], ends[counts])), (num_dofs, len(dof)))
 
 
 def _interpolation(
@@ -187,12 +178,25 @@ def _interpolation(
     return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
 
 
-def basis_values(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
+def basis_values(order: int, t: Points, kind: int = 0) -> Float[np.ndarray, "n terms"]:
     """Return the values of a leaf's basis functions (columns) at points ``t`` of its cell (rows).
 
     Points have coordinates from 0 to 1 across the cell. ``order`` is 0 for multilinear and 1 for cubic functions.
+    ``kind`` has a bit for each axis, the last axis lowest: functions are differentiated once along each axis whose
+    bit is 1.
     """
-    return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
+    # A basis function is a product of functions of one axis each: axis by axis, multiply the values so far, by corner
+    # and kind, with the values of the axis's functions.
+    _, kinds, num_powers = _BASIS_1D[order].shape
+    n, dim = t.shape
+    powers = np.arange(num_powers)
+    values = np.ones((n, 1, 1))
+    for axis, is_along in enumerate(corner_bits(dim)[kind]):
+        slopes = powers * t[:, axis, None] ** np.maximum(powers - 1, 0)
+        along = (slopes if is_along else t[:, axis, None] ** powers) @ _BASIS_1D[order].reshape(-1, num_powers).T
+        values = np.einsum("ncm,nad->ncamd", values, along.reshape(n, 2, kinds))
+        values = values.reshape(n, 2 ** (axis + 1), kinds ** (axis + 1))
+    return values.reshape(n, (2 * kinds) ** dim)
 
 
 def basis_monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
@@ -226,20 +230,6 @@ def enclosing_planes(
     terms = np.abs(powers) * x[:, :, None] * y[:, None]
     terms[:, 0, 0] = terms[:, 1, 0] = terms[:, 0, 1] = 0.0
     return powers[:, 0, 0], np.stack([powers[:, 1, 0], powers[:, 0, 1]], axis=1), terms.sum(axis=(1, 2))
-
-
-def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
-    # Differentiate along all axes where ``derivative`` is 1. A basis function is a product of functions of one axis
-    # each: axis by axis, multiply the values so far, by corner and kind, with the values of the axis's functions.
-    _, kinds, num_powers = _BASIS_1D[order].shape
-    n, powers = len(t), np.arange(num_powers)
-    values = np.ones((n, 1, 1))
-    for axis, is_along in enumerate(derivative):
-        slopes = powers * t[:, axis, None] ** np.maximum(powers - 1, 0)
-        along = (slopes if is_along else t[:, axis, None] ** powers) @ _BASIS_1D[order].reshape(-1, num_powers).T
-        values = np.einsum("ncm,nad->ncamd", values, along.reshape(n, 2, kinds))
-        values = values.reshape(n, 2 ** (axis + 1), kinds ** (axis + 1))
-    return values.reshape(n, (2 * kinds) ** t.shape[1])
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
@@ -281,7 +271,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     hosts = group.reshape(-1, len(kinds))[space.host_leaf]  # groups of corners c
     to_domain = np.ldexp(1.0, space.tree.leaves.depth[space.host_leaf] @ kinds.T)  # 2**(h . j), (hanging, kinds)
     to_leaf = np.tile(1 / to_domain, len(kinds))  # 2**-(h . k), by corner, then kind
-    basis = np.stack([_derivatives(1, space.host_position, along) for along in kinds])  # (kinds, hanging, terms)
+    basis = np.stack([basis_values(1, space.host_position, kind) for kind in range(len(kinds))])  # by kind and group
     weights = basis * to_leaf * to_domain.T[:, :, None]
     rows = np.broadcast_to(index[space.hanging].T[:, :, None], weights.shape)
     columns = np.broadcast_to(index[hosts].reshape(weights.shape[1:]), weights.shape)
