@@ -115,41 +115,32 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     """Build the finite-element space of ``degree`` 1 or 2 on a mesh (see :class:`FunctionSpace`)."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
-    # 1. Across each open face, find nodes that are one with a node of the other cell (`twins`), and nodes that hang
-    #    on the other cell: `hanging` nodes, the cell `on_cell`, and their local coordinates `at` in it. Find also
-    #    pairs of cells (`crossing`), and the local coordinates in both (`places`) of a point that is a node of
-    #    neither.
+    # 1. Take the lattice points of the open faces that two cells share, as points of both cells: index 0 on the first
+    #    axis of `cell` and `t` (local coordinates) is for the cell below the face, index 1 for the cell above it. All
+    #    nodes of both cells in the face are among them. Find nodes that are one with a node of the other cell
+    #    (`twins`), and nodes that hang on the other cell: `hanging` nodes, the cell `on_cell`, and their local
+    #    coordinates `at` in it. If cells are long along different axes, a corner of their shared face (x) may be a
+    #    node of neither: find also these pairs of cells (`crossing`), and its local coordinates in both (`places`).
+    #       o------o
+    #       | b    |          A face of cell a (wide) and a face of cell b (high) lie in one plane.
+    #   o---x------x---o
+    #   | a |      |   |
+    #   o---x------x---o
+    #       o------o
     stride = (degree + 1) ** np.arange(mesh.dim)[::-1]  # from the place of a node in the lattice to its index
     twins, hangers, crossings = [], [], []
     for axis in range(mesh.dim):
         faces = mesh.open_faces[mesh.open_faces.axis == axis]
-        for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
-            on_face = np.flatnonzero(lattice[:, axis] == end)
-            t = mesh.local(other[:, None], mesh.fractions(cell[:, None], lattice[on_face]))
-            t[:, :, axis] = 1 - end  # across a seam too
-            face, index = np.nonzero(np.all((t >= 0) & (t <= 1), axis=2))
-            node = cell[face] * size + on_face[index]
-            t = t[face, index]
-            is_node = np.all(t * degree == np.rint(t * degree), axis=1)
-            twin = other[face] * size + np.rint(t * degree).astype(int) @ stride
-            twins.append(np.stack([node, twin])[:, is_node])
-            hangers.append((node[~is_node], other[face[~is_node]], t[~is_node]))
-        # If cells are long along different axes, a corner of their shared face (x) may be a node of neither:
-        #       o------o
-        #       | b    |          A face of cell a (wide) and a face of cell b (high) lie in one plane.
-        #   o---x------x---o
-        #   | a |      |   |
-        #   o---x------x---o
-        #       o------o
-        depth = mesh.cells.depth[faces.lower] - mesh.cells.depth[faces.upper]
-        depth[:, axis] = 0
-        faces = faces[(depth.min(axis=1) < 0) & (depth.max(axis=1) > 0)]
         x = face_points(mesh.cells, faces, lattice[lattice[:, axis] == 0])
-        pair = np.repeat(np.stack([faces.lower, faces.upper]), x.shape[1], axis=1)
-        t = mesh.local(pair, x.reshape(1, -1, mesh.dim))
-        t[:, :, axis] = [[1.0], [0.0]]
-        is_node = (t * degree == np.rint(t * degree)).all(axis=2).any(axis=0)
-        crossings.append((pair[:, ~is_node], t[:, ~is_node]))
+        cell = np.repeat(np.stack([faces.lower, faces.upper]), x.shape[1], axis=1)
+        t = mesh.local(cell, x.reshape(1, -1, mesh.dim))
+        t[:, :, axis] = [[1.0], [0.0]]  # across a seam too
+        is_node = np.all(t * degree == np.rint(t * degree), axis=2)
+        node = cell * size + np.rint(t * degree).astype(int) @ stride
+        hangs, is_crossing = is_node & ~is_node[::-1], ~is_node.any(axis=0)
+        twins.append(node[:, is_node.all(axis=0)])
+        hangers.append((node[hangs], cell[::-1][hangs], t[::-1][hangs]))
+        crossings.append((cell[:, is_crossing], t[:, is_crossing]))
     hanging, on_cell, at = (np.concatenate(rows) for rows in zip(*hangers, strict=True))
     crossing, places = (np.concatenate(columns, axis=1) for columns in zip(*crossings, strict=True))
     # 2. Number groups of nodes that are one, and express hanging groups by free ones: a hanging group's value is the

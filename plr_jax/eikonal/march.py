@@ -134,12 +134,10 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
         return False
     for axis in range(is_open.ndim):
         # Three nodes in a row: the coarse grid has the first and the last one.
-        (first, middle, last), (clear_first, _, clear_last), (cost_first, _, cost_last) = (
-            (nodes[:-2:2], nodes[1::2], nodes[2::2])
-            for nodes in (np.moveaxis(table, axis, 0) for table in (is_open, is_clear, factor))
-        )
-        jumps = np.maximum(cost_first, cost_last) > _NO_JUMP * np.minimum(cost_first, cost_last)
-        hides_wall = (clear_first & ~last) | (clear_last & ~first)  # a wall between the nodes, not on the open one
+        nodes, clear, costs = (np.moveaxis(table, axis, 0) for table in (is_open, is_clear, factor))
+        first, middle, last = nodes[:-2:2], nodes[1::2], nodes[2::2]
+        jumps = np.maximum(costs[:-2:2], costs[2::2]) > _NO_JUMP * np.minimum(costs[:-2:2], costs[2::2])
+        hides_wall = (clear[:-2:2] & ~last) | (clear[2::2] & ~first)  # a wall between the nodes, not on the open one
         if (hides_wall | (first & last & (jumps | ~middle))).any():
             return False
     return True

@@ -161,17 +161,15 @@ class _FreeGraph:
         is_free = mesh.state == CellState.FREE
         # 1. Find the hanging nodes of each free cell.
         nodes, cells = [self.goals[is_free[goal_cells]]], [goal_cells[is_free[goal_cells]]]
-        for axis, bits in enumerate(corner_bits(mesh.dim).T):
-            faces = mesh.open_faces[mesh.open_faces.axis == axis]
-            for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
-                is_smaller = (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1)
-                hangs = is_smaller & is_free[cell] & is_free[other]
-                on_face = mesh.corners[cell[hangs]][:, bits == end]
-                owner = np.repeat(other[hangs], on_face.shape[1])
-                t = mesh.within(owner, self.points[on_face.ravel()])
-                touches = ((t >= 0) & (t <= 1)).all(axis=1)  # where long cells cross, some corners lie beyond
-                nodes.append(on_face.ravel()[touches])
-                cells.append(owner[touches])
+        faces = mesh.open_faces[is_free[mesh.open_faces.lower] & is_free[mesh.open_faces.upper]]
+        for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
+            is_smaller = (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1)
+            face, corner = np.nonzero(is_smaller[:, None] & (corner_bits(mesh.dim).T[faces.axis] == end))
+            node, owner = mesh.corners[cell[face], corner], other[face]
+            t = mesh.within(owner, self.points[node])
+            touches = ((t >= 0) & (t <= 1)).all(axis=1)  # where long cells cross, some corners lie beyond
+            nodes.append(node[touches])
+            cells.append(owner[touches])
         by_cell = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
         owner, hanging = np.divmod(by_cell, len(self.points))
 

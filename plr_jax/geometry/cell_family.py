@@ -4,7 +4,7 @@ Shortest paths from a sample point, or from a point of a piece, may turn first a
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import batches, concatenated, parts, take_ragged
 from plr_jax._types import Sources
-from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
+from plr_jax.geometry.cell_sight import CellSources, Corners, Rows, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, corners_by_triangle, sorted_unique
 from plr_jax.geometry.triangulation import TriangleLists, Triangulation
@@ -23,8 +23,6 @@ _PAIRS = 1 << 18  # pairs of a sample and a corner in memory at a time
 _WALL_BOXES = 1 << 11  # boxes at walls in memory at a time
 _CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_FREE_AREA = 1e-9  # free share of a box's area below which the box counts as an obstacle
-Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
-Indices: TypeAlias = Int[np.ndarray, " cells"]
 
 
 class FamilySamples(NamedTuple):
@@ -160,7 +158,7 @@ class FamilyGoal(NamedTuple):
 
 
 def cells_of_goals(
-    shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
+    shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Rows, goal_of: Rows
 ) -> CellSources:
     """Return cells with their convex pieces and *sources*: points to which shortest paths from a piece may go first.
 

@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import ragged_indices, take_ragged
-from plr_jax.geometry.boundary import Boundary, boxes_near, match_boundary
+from plr_jax.geometry.boundary import Boundary, Indices, boxes_near, match_boundary
 from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, mutually_visible_pairs
 from plr_jax.geometry.graph import connected_groups
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, triangulation_of
@@ -24,7 +24,6 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # a full turn as a pseudo-angle
-Indices: TypeAlias = Int[np.ndarray, " _"]
 # Visibility polygon of a goal, and the corners that it sees; -1 for other vertices and for corners that are gone.
 GoalView: TypeAlias = tuple[VisibilityTable, Indices]
 

@@ -18,8 +18,8 @@ from scipy.sparse import coo_array, csr_array
 from plr_jax._arrays import PickledWithoutCaches, as_finite_point, as_numbers, as_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Points, Reach, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
-from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
+from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, cells_of_goals
+from plr_jax.geometry.cell_sight import CellSources, Rows, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changes import Change, changed_triangulation, changed_visibility
 from plr_jax.geometry.corners import CornerVisibility, TurnPoints, TurnRegions, ViewsInSight, find_turn_points
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, path_ends, path_to_root
@@ -179,7 +179,7 @@ class VisibilityGraph(PickledWithoutCaches):
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
-        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices
+        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Rows, member: Rows
     ) -> CellSources:
         """Return what :meth:`cell_sources` returns, for many pairs of a box and an oracle.
 
@@ -257,7 +257,7 @@ class VisibilityGraph(PickledWithoutCaches):
         column[corner[found]] = nearest
 
         # 2. Differentiate legs: |b - a| has the derivative unit(b - a) by b, and the negative of it by a.
-        def by_vertices(row: Indices, vertex: Indices, vector: Float[np.ndarray, "entries 2"], n: int) -> csr_array:
+        def by_vertices(row: Rows, vertex: Rows, vector: Float[np.ndarray, "entries 2"], n: int) -> csr_array:
             place = np.repeat(row, 2), (2 * column[vertex][:, None] + [0, 1]).ravel()
             return coo_array((vector.ravel(), place), shape=(n, 2 * len(obstacles) + 2)).tocsr()
 

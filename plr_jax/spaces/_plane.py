@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Float, Int8
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.collision.walls import motion_test
+from plr_jax.collision.walls import Booleans, motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace, joined_parts, require_workspace
@@ -23,7 +23,6 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Positions: TypeAlias = Float[np.ndarray, "n 2"]
 Links: TypeAlias = Float[np.ndarray, "n 2 2"]
-Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, " n"]) -> Booleans:

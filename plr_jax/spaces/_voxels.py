@@ -171,7 +171,6 @@ class VoxelSpace:
             sees &= np.maximum(lo[axis], faces[first[axis]]) <= q[:, axis]
             sees &= q[:, axis] <= np.minimum(hi[axis], faces[last[axis] + 1])
         # 3. The point must not lie on a contact.
-        rows = np.flatnonzero(sees & np.isfinite(q).all(axis=1))
-        sees[:] = False
-        sees[rows] = ~self.grid.touches_contact(q[rows].T, q[rows].T)
+        sees &= np.isfinite(q).all(axis=1)
+        sees[sees] = ~self.grid.touches_contact(q[sees].T, q[sees].T)
         return sees
