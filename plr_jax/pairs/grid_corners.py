@@ -174,7 +174,7 @@ class _Sector(NamedTuple):
     place: Int[np.ndarray, " corners"]  # number of each corner's cell in the grid
     row: Int[np.ndarray, " corners"]  # of each corner in the view
     column: Int[np.ndarray, " corners"]
-    steps: tuple[int, int]  # by which the numbers of cells change from row to row, and from column to column
+    steps: tuple[int, ...]  # by which the numbers of cells change from row to row, and from column to column
     is_slanted: bool  # whether the sector is an octant
     keeps_ahead: bool  # whether this one of two adjacent sectors owns the cells straight ahead of a corner
     keeps_aside: bool
