@@ -30,7 +30,6 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import pytree
-from plr_jax.geometry.graph import connected_groups
 
 # Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
@@ -361,9 +360,12 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
                 raise ValueError(_TOO_LONG)
             return labels
         distances = _all_pairs(order, uppers, progress)
-    # 3. Check that all corners of a connected component have distances below `most`.
-    component = connected_groups(len(places), np.stack(ends))
-    if np.count_nonzero(distances < most) != (np.bincount(component) ** 2).sum():
+    # 3. Check that all corners of a connected component have distances below `most`. The corner of a component that
+    #    is eliminated last, which has no neighbors left, stands for the component.
+    component = np.arange(len(order))
+    for corner in reversed(order):
+        component[corner] = component[next(iter(uppers[corner]), corner)]
+    if np.count_nonzero(distances < most) != (np.bincount(component, minlength=1) ** 2).sum():
         raise ValueError(_TOO_LONG)
     return _compressed(distances, connectivity)
 
