@@ -216,8 +216,9 @@ def _with_halves(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box,
     new = _ListTree.of_leaves(halves, visible, np.repeat(tree.key[nodes], 2), limits)
     old = replace(tree, is_leaf=tree.is_leaf & ~np.isin(np.arange(len(tree.is_leaf)), nodes))
     visible = tree.visible.of_cells(np.flatnonzero(old.is_leaf[leaves])).append(visible)
-    columns = concatenated([old, new], "key", "parent_key", "is_leaf")
-    return _ListTree(tree.cells.append(halves), vstack([tree.lists, new.lists]), *columns, visible)
+    key, parent_key, is_leaf = concatenated([old, new], "key", "parent_key", "is_leaf")
+    lists: Any = vstack([tree.lists, new.lists])
+    return _ListTree(tree.cells.append(halves), lists, key, parent_key, is_leaf, visible)
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:

@@ -30,7 +30,6 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import pytree
-from plr_jax.geometry.graph import connected_groups
 
 # Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
@@ -174,7 +173,7 @@ class _Sector(NamedTuple):
     place: Int[np.ndarray, " corners"]  # number of each corner's cell in the grid
     row: Int[np.ndarray, " corners"]  # of each corner in the view
     column: Int[np.ndarray, " corners"]
-    steps: tuple[int, int]  # by which the numbers of cells change from row to row, and from column to column
+    steps: tuple[int, ...]  # by which the numbers of cells change from row to row, and from column to column
     is_slanted: bool  # whether the sector is an octant
     keeps_ahead: bool  # whether this one of two adjacent sectors owns the cells straight ahead of a corner
     keeps_aside: bool
@@ -361,9 +360,12 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
                 raise ValueError(_TOO_LONG)
             return labels
         distances = _all_pairs(order, uppers, progress)
-    # 3. Check that all corners of a connected component have distances below `most`.
-    component = connected_groups(len(places), np.stack(ends))
-    if np.count_nonzero(distances < most) != (np.bincount(component) ** 2).sum():
+    # 3. Check that all corners of a connected component have distances below `most`. The corner of a component that
+    #    is eliminated last, which has no neighbors left, stands for the component.
+    component = np.arange(len(order))
+    for corner in reversed(order):
+        component[corner] = component[next(iter(uppers[corner]), corner)]
+    if np.count_nonzero(distances < most) != (np.bincount(component, minlength=1) ** 2).sum():
         raise ValueError(_TOO_LONG)
     return _compressed(distances, connectivity)
 

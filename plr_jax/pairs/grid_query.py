@@ -191,7 +191,7 @@ def tables_of(free: Grid, connectivity: int) -> GridTables:
     bits = np.packbits(np.pad(free.ravel(), (0, -free.size % 32)), bitorder="little").view("<u4")
     of_cells = bits, _narrow(_sums_of(free, connectivity)), group_block.astype(np.int32), _narrow(cell_block), blocks
     arrays = map(jnp.asarray, (*of_cells, row, column))
-    tables = GridTables(*arrays, distances, free.shape, connectivity)
+    tables = GridTables(*arrays, distances=distances, shape=free.shape, connectivity=connectivity)
     # Queries also read empty tables, and ignore the value: give empty tables one entry.
     return jax.tree.map(lambda a: a if a.size else jnp.zeros([max(n, 1) for n in a.shape], a.dtype), tables)
 
@@ -379,7 +379,7 @@ def _least_over_blocks(
         all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
         return jnp.where(number == 0, bits[end], all_bits)
 
-    def corners_and_legs(end: int, number: _Scalar, bits: _Bits) -> tuple[_Corners, _Corners]:
+    def corners_and_legs(end: int, number: _Scalar, bits: _Bits) -> tuple[Ints, Ints]:
         # The corners of the block of the lowest set bit x: as many zeros are below it as ~x & (x - 1) has ones.
         block = blocks[end][0] + lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         corners = looked_up(tables.blocks, jnp.where(bits != 0, block, 0)).astype(jnp.int32)

@@ -467,15 +467,15 @@ def _read_lists(body: BitReader, tree: Tree, count: int, most: int) -> csr_array
     # drops.
     is_listed = np.zeros((len(tree.child), count), bool)  # by node and corner
     is_listed[0] = ~body.read_set(count)
-    num_entries = is_listed[0].sum()  # of the leaves so far and of the nodes of a level
+    num_entries = np.count_nonzero(is_listed[0])  # of the leaves so far and of the nodes of a level
     for split in filter(len, tree.splits):
         by_half = is_listed[np.repeat(split, 2)]
-        num_inherited = int(by_half.sum())
-        num_entries += num_inherited // 2
+        inherited = np.flatnonzero(by_half)
+        num_entries += len(inherited) // 2
         if num_entries > most:
             raise ValueError("its lists have more entries than a file of its size ought to")
-        is_dropped = body.read_set(num_inherited)
-        by_half[by_half] = ~is_dropped
-        num_entries -= is_dropped.sum()
+        dropped = inherited[body.read_set(len(inherited))]
+        by_half.ravel()[dropped] = False
+        num_entries -= len(dropped)
         is_listed[tree.halves(split)] = by_half
     return csr_array(is_listed[tree.node_of_leaf])

@@ -91,8 +91,8 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     listed[ragged_indices(lengths)] = stored.lists.indices
     # 2. Find walls near listed corners.
     lo, hi = cells.grown_boxes(domain)
-    entries = stored.lists.nonzero()
-    near = NearWalls.of((lo, hi), *entries, obstacles.corners[:-1], obstacles.walls, MARGIN * width, listed.shape)
+    leaf, corner = stored.lists.nonzero()
+    near = NearWalls.of((lo, hi), leaf, corner, obstacles.corners[:-1], obstacles.walls, MARGIN * width, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing
