@@ -69,12 +69,15 @@ class CostDistance:
 
         Returns:
             Vertices of the path, ``(n, 2)``, from the center of the cell to the source, even if ``from_sources`` was
-            set. With heights, the path ends at the center of the source's cell. If both ends are equal, there is one
-            vertex; if the distance is ``inf``, there is none. The path's cost is the ``distance`` in the cell.
+            set. The path's cost is the ``distance`` in the cell. Along the border of two cells, the cheaper cell
+            counts. With heights, the path ends at the center of the source's cell. In degrees, vertices are joined by
+            straight lines of longitude and latitude, and a degree of longitude is as long as in the middle of the
+            row; a path around a raster of 360 degrees has longitudes beyond the raster. If both ends are equal, there
+            is one vertex; if the distance is ``inf``, as in barriers, there is none.
 
         Raises:
             ValueError: If the point is outside the raster, or the result has no paths because the raster has more
-                than 2 million cells (see :func:`cost_distance`).
+                than 2 million open cells (see :func:`cost_distance`).
         """
         if self._tree is None or self._grid is None:
             advice = "use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)"
@@ -134,6 +137,7 @@ def cost_distance(
             -85 to 85. None: as the reference system of a ``DataArray`` says or, without one, the names of its
             coordinates.
         squeeze: Whether paths pass between two barriers that touch in a corner, as they do over 8-connected cells.
+            (Between other cells that touch in a corner, such as those of a road, paths always pass, at no cost.)
         heights: Height of each cell, in the unit of length: an array, a ``DataArray`` or the path of a file. With
             heights, costs depend on the direction of travel. Cells without a finite height are barriers.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of

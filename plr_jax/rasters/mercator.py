@@ -53,9 +53,9 @@ def march_over_degrees(cost: Raster, box: Box, points: Points) -> tuple[Raster, 
     moved = np.clip(y, (first + _EXACT) * side[1], (last - _EXACT) * side[1])
     places = np.stack([x, np.where(is_in_barrier, moved, y)], axis=1)
     distance, nearest = march(on_map, side, places, box.periodic[0])
-    # 3. The middle of each row of the raster lies `above` the center of the row `middle_row` of the grid, in rows. Its
-    #    distance is linear between this row (`here`) and the next one (`there`). Where paths from these two rows lead
-    #    away from each other, the distance has a peak (^) between them, where two continued lines meet:
+    # 3. The middle of each row of the raster lies `above` the center of the grid's row `middle_row`, in rows. Its
+    #    distance is linear between this row (`here`) and the next (`there`). Where paths from these two rows lead in
+    #    opposite directions, the distance has a peak (^) between them, where two continued lines meet:
     #
     #              ^
     #            /   \

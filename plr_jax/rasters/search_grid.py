@@ -53,11 +53,12 @@ class SearchGrid:
 
     def divided(self, raster: Raster) -> Parts:
         """Return the raster's values in each part of its cells."""
-        row_parts, column_parts = self.parts
-        return raster if self.parts == (1, 1) else raster.repeat(row_parts, axis=0).repeat(column_parts, axis=1)
+        if self.parts == (1, 1):
+            return raster
+        return raster.repeat(self.parts[0], axis=0).repeat(self.parts[1], axis=1)
 
     def interpolated(self, raster: Raster) -> Parts:
-        """Return bilinear values at the centers of parts; beyond the centers of cells at the rim, those of the rim."""
+        """Return values at the centers of parts, bilinear between centers of cells; constant across the rim."""
         beside = np.pad(raster, ((1, 1), (0, 0)), mode="edge")
         beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.wraps else "edge")
         along = ((np.arange(n * k) + 0.5) / k + 0.5 for n, k in zip(self.shape, self.parts, strict=True))

@@ -176,32 +176,41 @@ def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp
         read.close()
 
 
-def cost_along(path, costs, side=(1, 1), heights=None, slope_cost=None, parts=(1, 1)):
+def cost_along(path, costs, side=(1, 1), heights=None, slope_cost=None, parts=(1, 1), scale=None):
     """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two.
 
     Heights are bilinear at vertices and where the polyline crosses a row or a column of centers of the cells' parts.
-    Between these places, heights are linear.
+    Between these places, heights are linear. ``scale`` is the length along each row of parts of a unit of the raster.
     """
-    total = 0.0
+    total, rows_and_columns = 0.0, parts[::-1]
     for begin, end in pairwise(path / side):
-        change, length = end - begin, np.linalg.norm((end - begin) * side)
+        change = end - begin
         borders, lines = (
             np.concatenate(
-                [((np.arange(999) + h) / n - b) / c for n, b, c in zip(parts[::-1], begin, change, strict=True) if c]
+                [
+                    ((np.arange(999) + h) / n - b) / c
+                    for n, b, c in zip(rows_and_columns, begin, change, strict=True)
+                    if c
+                ]
             )
             for h in (0, 0.5)
         )
         cuts, lines = (np.unique(np.clip(np.append(each, (0, 1)).round(12), 0, 1)) for each in (borders, lines))
         cuts = np.union1d(cuts, lines)
         middles = begin + (cuts[:-1, None] + cuts[1:, None]) / 2 * change
-        j, i = np.floor(middles[:, None] + list(product((-1e-9, 1e-9), repeat=2))).astype(int).transpose(2, 0, 1)
+        x, y = (middles[:, None] + list(product((-1e-9, 1e-9), repeat=2))).transpose(2, 0, 1)
         padded = np.pad(costs, 1, constant_values=np.inf)
-        rates = padded[np.clip(i + 1, 0, len(costs) + 1), np.clip(j + 1, 0, costs.shape[1] + 1)].min(axis=1)
+        rates = padded[
+            tuple(np.clip(np.floor(at).astype(int) + 1, 0, n + 1) for at, n in zip((y, x), costs.shape, strict=True))
+        ]
+        row = np.floor(y * parts[0]).astype(int)
+        ratio = 1 if scale is None else scale[np.clip(row, 0, len(scale) - 1)]
+        rates = (rates * np.hypot(change[0] * side[0] * ratio, change[1] * side[1])).min(axis=1)
         if heights is not None:
             at = (begin + lines[:, None] * change)[:, ::-1].T - 0.5
             height = np.interp(cuts, lines, ndimage.map_coordinates(heights, at, order=1, mode="nearest"))
-            rates = rates * slope_cost(np.diff(height) / (np.diff(cuts) * length))
-        total += length * np.diff(cuts) @ rates
+            rates *= slope_cost(np.diff(height) / (np.diff(cuts) * np.linalg.norm(change * side)))
+        total += np.diff(cuts) @ rates
     return total
 
 
@@ -406,6 +415,21 @@ def test_paths_in_degrees_pass_the_antimeridian_and_barriers():
     np.testing.assert_allclose(sum(steps), result.distance.sel(lon=161, lat=11), rtol=0.003)
     assert sum(steps) > 1.001 * great_circle(161, 11, (197, 11))
     assert np.isinf(result.distance.values[::-1][10:20, 175]).all()
+
+
+@pytest.mark.parametrize("side", [8, 60])  # cells are divided; cells are not divided
+def test_cost_along_path_in_degrees_is_the_distance(side):
+    costs = np.random.default_rng(3).choice([1.0, 2, 5, np.inf], (side, side))
+    costs[side // 2] = 1
+    raster = degrees_raster(costs, 20, 82 - side, 1)
+    result = cost_distance(raster, [(20.3, 82.2 - side / 2)])
+    count = side * result._grid.parts[0]
+    scale = np.cos(np.radians(82 - side + (np.arange(count) + 0.5) / count * side))
+    meters = 6_371_008.8 * np.radians(1)
+    for i, j in np.argwhere(np.isfinite(result.distance.values[::-1]))[:: side // 4].tolist():
+        path = (result.path((20.5 + j, 82.5 - side + i)) - (20, 82 - side)) * meters
+        along = cost_along(path, costs, (meters, meters), parts=result._grid.parts, scale=scale)
+        np.testing.assert_allclose(along, result.distance.values[::-1][i, j], rtol=1e-9, atol=1e-6)
 
 
 def test_thin_barriers_in_degrees_have_no_gaps():
