@@ -100,7 +100,7 @@ def cost_distance(
     cell_size: float | ArrayLike = 1.0,
     degrees: bool | None = None,
     squeeze: bool = False,
-    heights: ArrayLike | None = None,
+    heights: Any = None,
     slope_cost: Slope | str = "tobler",
     from_sources: bool = False,
     bounds: bool = False,
@@ -184,7 +184,7 @@ def cost_distance(
         most = f"at most {MOST_ON_REQUEST:,} cells, about square, that are no barriers"
         raise ValueError(f"With heights, bounds or squeeze, the raster must have {most}, got {num_cells:,}.")
     relief = None
-    slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
+    slope_fn: Any = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
     directed = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
     if heights is not None:
         if not callable(slope_fn) or bounds:
@@ -222,11 +222,11 @@ def cost_distance(
 
 def _on_raster(raster: Any, values: np.ndarray) -> Any:
     """Return a DataArray of values with the coordinates and the reference system of ``raster``."""
-    values = raster.copy(data=values)
-    values.attrs, values.encoding = (
+    result = raster.copy(data=values)
+    result.attrs, result.encoding = (
         {key: table[key] for key in _REFERENCES if key in table} for table in (raster.attrs, raster.encoding)
     )
-    return values
+    return result
 
 
 def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | None) -> tuple[Box, bool]:

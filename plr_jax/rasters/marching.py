@@ -1,5 +1,7 @@
 """Approximate cost distances over large rasters, by fast marching (see ``eikonal/march.py``)."""
 
+from typing import Any
+
 import numpy as np
 from scipy import ndimage
 
@@ -36,7 +38,8 @@ def march(cost: Raster, side: Sides, points: Points, wraps: bool) -> tuple[Raste
         advice = "Reduce the largest, or make their cells barriers."
         raise ValueError(f"{expected}, got costs from {least:g} to {most:g}. {advice}")
     cost = cost / least  # scikit-fmm ignores some small costs
-    is_open, modes = np.isfinite(cost), ("constant", "wrap" if wraps else "constant")
+    is_open: Any = np.isfinite(cost)
+    modes: Any = "constant", "wrap" if wraps else "constant"
     # 1. Search for paths among the cells near sources. Costs up to the least cost at the border of these cells
     #    (`level`) are right: to leave the cells and return costs more.
     is_near = np.zeros(cost.shape, bool)
@@ -93,5 +96,6 @@ def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides
     del index, least
     # 2. Follow the next cells. They have smaller distances, so paths end: in cells with a source, or where no next
     #    cell is better.
-    toward = toward[:, 2 * wraps : toward.shape[1] - 2 * wraps]
+    if wraps:
+        toward = toward[:, 2:-2]
     return label.ravel()[path_ends(toward.ravel())].reshape(label.shape)

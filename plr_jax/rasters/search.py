@@ -1,14 +1,15 @@
 """Shortest paths over a raster whose costs are constant in each cell.
 
 :func:`search` runs Dijkstra's algorithm on a graph of straight edges between corners (o) and centers (x) of open
-cells, up to four cells long, with their exact costs. Beside jumps of the cost, sides of cells have two more nodes
-each (.), where paths refract: edges join them to the nodes of their two cells. With heights, edges join centers alone
-and are up to six cells long::
+cells, up to five cells long, with their exact costs. Where costs jump, paths refract, so sides of cells have two
+nodes each (.), with edges to all nodes of their two cells::
 
     o-------o--.-.--o
-    |   x   |   x   |     Edges lead from each corner and center to the corners and centers around it, in all
-    o-------o--.-.--o     directions in which they pass no other.
-    |   x   |   x   |
+    |   x   .   x   .     Edges lead from each corner and center to the corners and centers around it, in all
+    |       .       .     directions in which they pass no other corner or center.
+    o-------o--.-.--o
+    |   x   .   x   .
+    |       .       .
     o-------o--.-.--o
 
 Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
@@ -17,7 +18,7 @@ Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
+from functools import cache
 from itertools import pairwise, product
 from math import floor, gcd
 from typing import Any, NamedTuple
@@ -33,8 +34,8 @@ from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
 _LENGTH = 9.5  # most half cells of an edge, if cells are square: 88 edges at each corner and center
 _BAND = 1.25  # rows have the same edges if the shapes of their cells differ by less than this factor
 _MOST_BANDS = 16  # cells that are more than about 1.25**16 times as long as wide have the same edges
-_JUMP = 1.25  # costs of neighbors differ by this factor where sides have nodes; errors are the same for 1.1
-UNITS = 6  # places of nodes are counted in units, of which a side of a cell has so many
+_JUMP = 1.25  # least factor between costs of neighbors beside which sides have nodes; 1.1 is hardly more exact
+UNITS = 6  # parts of the width and height of a cell, in which places of nodes are counted
 _HALF = UNITS // 2
 _NODES_AT_ONCE = 8192  # nodes whose edges are computed at a time, so that their arrays stay in the cache
 _SAME_DIRECTION = 1e-9  # largest difference of unit vectors along a straight path
@@ -45,10 +46,12 @@ Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 Cell = tuple[int, int]  # row and column, also of an offset between cells
-Place = tuple[int, int]  # row and column in units; for each kind of nodes, their place in their cell
+Place = tuple[int, int]  # row and column, in units
+# Kinds of nodes: their places in the cell. Each cell has the nodes of its two lower sides, and its center.
 CORNER, CENTER = (0, 0), (_HALF, _HALF)
-_NEAR = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])  # see _straight_costs
-_AT_SIDES = {(0, 2), (0, 4), (2, 0), (4, 0)}  # the kinds of nodes at the lower sides of a cell
+_AT_SIDES = (0, 2), (0, 4), (2, 0), (4, 0)
+# Offsets, in half cells, from the center of a cell to the corners and centers in the cell and beside it.
+_NEAR = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
 AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
 # Stretches of a motion: the share of the motion at which each ends, and the factor of the cost in it.
 Stretches = Sequence[tuple[float, float | np.ndarray]]
@@ -146,15 +149,15 @@ def search(
         scale = np.pad(scale, reach, mode="edge")
     if relief is not None:
         height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
-    # 3. Number the nodes: corners and centers of open cells, and points of sides between two open cells whose costs
-    #    jump to some neighbor. Paths pass no corner where two barriers touch, unless they squeeze through.
+    # 3. Number the nodes: corners and centers of open cells. Sides have nodes if both cells have a neighbor where the
+    #    cost jumps. Paths pass no corner where two barriers touch, unless they squeeze through.
     a, b, c, d = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, :-1], is_open[1:, 1:]  # a and b are the lower cells
     is_contact = (a == d) & (b == c) & (a != b) & (not squeeze)
     is_node = {CORNER: np.pad((a | b | c | d) & ~is_contact, ((1, 0), (1, 0))), CENTER: is_open}
     cross = ndimage.generate_binary_structure(2, 1)
     most = ndimage.maximum_filter(np.where(is_open, cost, 0.0), footprint=cross)
-    jumps = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
-    is_node |= {kind: jumps & np.roll(jumps, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
+    is_rough = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
+    is_node |= {kind: is_rough & np.roll(is_rough, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
     nodes, number, num_nodes = {}, {}, 0
     for kind, is_one in is_node.items():
         last = columns + reach + (not wraps and kind[1] == 0)
@@ -169,6 +172,10 @@ def search(
         (row, end_y), (column, end_x) = (divmod(at + along, UNITS) for at, along in zip(kind, step, strict=True))
         return number[end_y, end_x][begin + row * width + column]
 
+    def values_around(table: np.ndarray, block: Int[np.ndarray, " n"]) -> AtOffset:
+        # The values of a table at an offset from the cells of a block.
+        return cache(lambda cell: table[block + cell[0] * width + cell[1]])
+
     # 4. Compute the edges of all nodes, in blocks of nodes of a kind in a band, by node and step. The cost of an edge
     #    is its length times the mean cost along it; an infinite cost is no edge.
     band = np.pad(band, reach, mode="edge")
@@ -181,27 +188,26 @@ def search(
     ]
     size = len(points) * len(_NEAR) + sum(len(listed) * len(block) for _, listed, block in blocks)
     ends, costs = np.empty(size, np.int32), np.empty(size)
-    num_edges, degrees = 0, []
+    num_edges, counts = 0, []
     for kind, listed, block in blocks:
         end, cost_of = np.empty((len(listed), len(block)), np.int32), np.empty((len(listed), len(block)))
-        values_at = lambda table, cell: table[block + cell[0] * width + cell[1]]  # noqa: B023, E731
-        row = block // width
+        row, cost_in_plane = block // width, values_around(flat_cost, block)
+        height_at = None if relief is None else values_around(height, block)
         for k, (i, j) in enumerate(listed):
             length = float(np.hypot(*(side[::-1] * (i, j)))) / UNITS
-            ratio_at, cost_at = (lambda _: 1.0), partial(values_at, flat_cost)
+            cost_at, length_at = cost_in_plane, (lambda _: length)  # noqa: B023
             if scale is not None:  # in a row, the motion is `ratio` times as long
                 ratio = np.hypot(side[0] * j * scale, side[1] * i) / UNITS / length
-                ratio_at = lambda of: ratio[row + of]  # noqa: B023, E731
-                cost_at = lambda cell: ratio_at(cell[0]) * values_at(flat_cost, cell)  # noqa: B023, E731
+                cost_at = lambda cell: ratio[row + cell[0]] * cost_in_plane(cell)  # noqa: B023, E731
+                length_at = lambda beyond: length * ratio[row + beyond]  # noqa: B023, E731
             stretches: Stretches = [(1.0, 1.0)]
-            if relief is not None:
-                run_at = lambda of: length * ratio_at(of)  # noqa: B023, E731
-                stretches = _slope_factors((i, j), kind, run_at, partial(values_at, height), relief.slope_fn)
+            if relief is not None and height_at is not None:
+                stretches = _slope_factors((i, j), kind, length_at, height_at, relief.slope_fn)
             end[k] = ends_of((i, j), kind, block)
             cost_of[k] = length * mean_along((i, j), kind, cost_at, stretches, squeeze)
         is_edge = ((end >= 0) & (cost_of < np.inf)).T
-        degrees.append(is_edge.sum(axis=1))
-        table = slice(num_edges, num_edges := num_edges + int(degrees[-1].sum()))
+        counts.append(is_edge.sum(axis=1))
+        table = slice(num_edges, num_edges := num_edges + int(counts[-1].sum()))
         ends[table], costs[table] = end.T[is_edge], cost_of.T[is_edge]
     # 5. Add the edges of sources to the nodes in and beside their cells. With heights, sources move to the centers of
     #    their cells, at no cost.
@@ -215,9 +221,9 @@ def search(
     table = slice(num_edges, num_edges + to_near.size)
     ends[table] = np.maximum(to_near, 0).ravel()
     costs[table] = np.where(to_near < 0, np.inf, costs_to_near).ravel()
-    degrees.append(np.full(len(points), len(near)))
+    counts.append(np.full(len(points), len(near)))
     # 6. Find shortest paths outward from all sources at once.
-    begins = np.append(0, np.concatenate(degrees).cumsum()).astype(np.int32)  # SciPy copies edges for 64-bit begins
+    begins = np.append(0, np.concatenate(counts).cumsum()).astype(np.int32)  # with 64 bits, SciPy copies all ends
     graph = csr_array((costs[: begins[-1]], ends[: begins[-1]], begins), shape=(len(begins) - 1,) * 2)
     sources = num_nodes + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
@@ -257,13 +263,13 @@ def _steps(shape: float) -> dict[Place, list[Place]]:
         for i, j in product(range(-most_i, most_i + 1), range(-most_j, most_j + 1))
         if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2)) and np.hypot(i * height, j * width) <= _LENGTH
     ]
-    kinds = {CORNER, CENTER} | _AT_SIDES
+    kinds = CORNER, CENTER, *_AT_SIDES
     steps = {kind: [(_HALF * i, _HALF * j) for i, j in halves if kind not in _AT_SIDES] for kind in kinds}
     # 2. Edges from and to nodes at sides stay in a cell.
     for (a, b), (y, x) in product(kinds, product(range(-UNITS, UNITS + 1), repeat=2)):
         end = y % UNITS, x % UNITS
         is_in_cell = (a == 0 or y >= 0) and (b == 0 or x >= 0) and (y, x) != (a, b)
-        if is_in_cell and end in kinds and {end, (a, b)} & _AT_SIDES:
+        if is_in_cell and end in kinds and (end in _AT_SIDES or (a, b) in _AT_SIDES):
             steps[a, b].append((y - a, x - b))
     return steps
 
@@ -358,13 +364,13 @@ def mean_along(
 
 
 def _slope_factors(
-    step: Place, kind: Place, run_at: Callable[[int], Any], height_at: AtOffset, slope_fn: Slope
+    step: Place, kind: Place, length_at: Callable[[int], Any], height_at: AtOffset, slope_fn: Slope
 ) -> Stretches:
     """Return the stretches of a motion by ``step`` from nodes of a ``kind`` in many cells, by slope.
 
     The motion is cut where it crosses a row or a column of centers. Heights are bilinear at its ends and where it is
     cut, and linear along each stretch. ``height_at`` returns the heights of the cells at an offset from the cells in
-    which the motions begin, and ``run_at`` the motion's length if it were in a row at an offset.
+    which the motions begin, and ``length_at`` the motion's length if it were in a row at an offset.
     """
     (y, x), (i, j) = kind, step
     crossed = {
@@ -382,7 +388,7 @@ def _slope_factors(
     stretches = []
     for (a, b), (low, high) in zip(pairwise(shares), pairwise(heights), strict=True):
         # The slope toward the sources: the motion leads from the sources.
-        slope = (low - high) / (float(b - a) * run_at(floor((y + i * (a + b) / 2) / UNITS)))
+        slope = (low - high) / (float(b - a) * length_at(floor((y + i * (a + b) / 2) / UNITS)))
         factor = as_numbers("slope_cost's answer", slope_fn(slope), "numbers")
         if factor.shape not in ((), slope.shape) or not (factor > 0).all():
             expected = f"slope_cost must return positive numbers of shape {slope.shape}"
