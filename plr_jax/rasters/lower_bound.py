@@ -47,8 +47,9 @@ def lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, a
 
     # 3. Project: move the three values of a steep triangle towards their mean, until its slope is allowed. All
     #    triangles are treated at once, and each value takes the mean of the changes that steep triangles ask for.
-    #    As in Nesterov's method, each round first goes on in the direction of the last round.
-    before = middle, corner
+    #    As in Nesterov's method, each round first goes on in the direction of the last round. Values do not rise
+    #    above their start, so that they stay low at the sources.
+    first = before = middle, corner
     for k in range(_PROJECTIONS):
         ahead = [now + k / (k + 3) * (now - last) for now, last in zip((middle, corner), before, strict=True)]
         before, (middle, corner) = (middle, corner), ahead
@@ -60,8 +61,10 @@ def lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, a
             for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
                 change[kind][place] += shrinkage * (values[place] - mean)
                 count[kind][place] += is_steep
-        middle += _RELAXATION * change[0] / np.maximum(count[0], 1)
-        corner += _RELAXATION * change[1] / np.maximum(count[1], 1)
+        projected = [
+            u + _RELAXATION * each / np.maximum(n, 1) for u, each, n in zip(ahead, change, count, strict=True)
+        ]
+        middle, corner = (np.minimum(u, start) for u, start in zip(projected, first, strict=True))
     # 4. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
     factor = (1 + ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
     around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
