@@ -163,8 +163,8 @@ class _FreeGraph:
         nodes, cells = [self.goals[is_free[goal_cells]]], [goal_cells[is_free[goal_cells]]]
         faces = mesh.open_faces[is_free[mesh.open_faces.lower] & is_free[mesh.open_faces.upper]]
         for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
-            is_smaller = (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1)
-            face, corner = np.nonzero(is_smaller[:, None] & (corner_bits(mesh.dim).T[faces.axis] == end))
+            is_smaller = np.any(mesh.cells.depth[cell] > mesh.cells.depth[other], axis=1, keepdims=True)
+            face, corner = np.nonzero(is_smaller & (corner_bits(mesh.dim).T[faces.axis] == end))
             node, owner = mesh.corners[cell[face], corner], other[face]
             t = mesh.within(owner, self.points[node])
             touches = ((t >= 0) & (t <= 1)).all(axis=1)  # where long cells cross, some corners lie beyond

@@ -305,7 +305,8 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     # 2. Simplify the rings, and join them to polygons again. The first ring of each polygon is its shell.
     points, ring = _simplified(points[:, ::-1], ring, touches[tuple(points.astype(int).T)], tolerance)
     loops: Any = shapely.linearrings(points, indices=ring)
-    return shapely.multipolygons(shapely.polygons(loops, indices=polygon))
+    joined: Any = shapely.polygons(loops, indices=polygon)
+    return shapely.multipolygons(joined)
 
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:
