@@ -182,20 +182,22 @@ _ATTEMPTS = 12  # most prices to try between a tree that fits and a tree that is
 _AIM = 0.9985  # share of the limits that such a price aims at
 _FULL = 0.997  # the search stops at a tree that fills this share of the limits
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
+Leaves: TypeAlias = list[Int[np.ndarray, " _"]]  # for each level, the indices of the boxes that are leaves of a tree
 
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The tree of boxes with the least sum of its leaves' costs and a ``price`` per leaf."""
+    """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
 
-    axes: list[Int[np.ndarray, " _"]]  # split axis of each node, level by level; -1 for a leaf
-    box: Int[np.ndarray, " leaves"]  # number of each leaf's box, in tree order; boxes are numbered level by level
+    leaves: Leaves  # as indices into the levels' boxes
+    axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
+    order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float
     num_bytes: int = 0
     is_final: bool = False  # whether the search for a larger tree is over
 
     def __len__(self) -> int:
-        return len(self.box)
+        return len(self.order)
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
@@ -248,8 +250,10 @@ class PriceSearch:
 
         ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """
-        may_improve = (level.is_open(self._limits, weight) & (level.costs(weight) > 0) for level in self.levels)
-        return not np.concatenate([*may_improve], axis=1)[:, tree.box].any()
+        for level, boxes in zip(self.levels, tree.leaves, strict=False):
+            if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
+                return False
+        return True
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
         """Return a lower price, for a larger tree, and the weight of a leaf's largest error in the leaf's cost."""
@@ -317,15 +321,13 @@ class PriceSearch:
             choices.append(options.argmin(axis=0) - 1)
             below = np.append(options.min(axis=0), np.inf)
         # 2. Downward from the root, collect the tree's nodes and leaves.
-        axes, leaves, nodes = [], [], np.zeros(1, np.int64)
-        first = 0  # number of a level's first box
+        leaves, walked, nodes = [], [], np.zeros(1, np.int64)
         for level, choice in zip(self.levels, reversed(choices), strict=True):
             if not len(nodes):
                 break
             axis = choice[nodes]
             is_inner = axis >= 0
-            axes.append(axis)
-            leaves.append(first + nodes[~is_inner])
+            leaves.append(nodes[~is_inner])
+            walked.append(axis)
             nodes = level.child[axis[is_inner], :, nodes[is_inner]].ravel()
-            first += len(level.key)
-        return PricedTree(axes, np.concatenate(leaves)[leaf_order(axes)], price)
+        return PricedTree(leaves, walked, leaf_order(walked), price)

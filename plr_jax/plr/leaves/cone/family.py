@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import slices
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PEAK_WEIGHT, PricedTree
+from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PEAK_WEIGHT
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
@@ -245,7 +245,14 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
     return BoxFits(goal, negligible, source, integral, largest, is_mixed, is_mixed & is_estimated)
 
 
-def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float, max_depth: int) -> PricedTree:
+class SampledTree(NamedTuple):
+    """A tree whose leaves are boxes of a :class:`Lattice`."""
+
+    axes: list[Int[np.ndarray, " _"]]  # split axis of each node, level by level; -1 for a leaf
+    box: Int[np.ndarray, " leaves"]  # number of each leaf's box in the lattice, in tree order
+
+
+def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float, max_depth: int) -> SampledTree:
     """Return the tree of boxes whose leaves have the least sum of ``costs`` (one per box) plus ``price`` per leaf.
 
     No leaf comes from more than ``max_depth`` halvings.
@@ -271,7 +278,7 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float
         axes.append(axis)
         leaves.append(box[~is_split])
         box = halves[axis[is_split], is_split].ravel()
-    return PricedTree(axes, np.concatenate(leaves)[leaf_order(axes)], price)
+    return SampledTree(axes, np.concatenate(leaves)[leaf_order(axes)])
 
 
 # The search for the price per leaf. Logarithms are natural; the *excess* is the logarithm of the used share of the
@@ -285,11 +292,11 @@ _BEYOND = 0.1  # excess at which an extrapolated price aims, on the other side o
 _LARGEST_STEP = 8.0  # of the logarithm of an extrapolated price
 
 
-def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float) -> PricedTree:
+def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float) -> SampledTree:
     # Search the price per leaf at which the tree of least cost plus prices fills the limits. A lower price gives a
     # larger tree. Estimated errors in `fits` are replaced, in place, where a tree has leaves.
     peak_weight = PEAK_WEIGHT / num_leaves
-    largest = PricedTree([np.full(1, -1)], np.zeros(1, np.int64), np.inf)
+    largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))
     log_price = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny)))
     attempts = []  # pairs of the logarithm of the price and the excess
@@ -302,9 +309,9 @@ def largest_tree(lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limi
             fits.evaluate(lattice, estimated)
         # 2. Compare it with the limits. Stop if it nearly fills them, or has as many leaves as the largest before.
         num_bytes = files.num_bytes(fits.source[tree.box], limits) * (ROOM + 1) / ROOM
-        excess = float(np.log(max(len(tree) / limits.max_leaves, num_bytes / limits.max_bytes)))
-        is_final = excess <= 0 and len(tree) == len(largest) and len(attempts) > 1
-        if excess <= 0 and len(tree) >= len(largest):
+        excess = float(np.log(max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)))
+        is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(attempts) > 1
+        if excess <= 0 and len(tree.box) >= len(largest.box):
             largest = tree
         if is_final or np.log(_FULL) <= excess <= 0:
             break

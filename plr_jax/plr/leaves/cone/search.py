@@ -285,18 +285,20 @@ def best_cones(visible: CellSources, sampler: Sampler, limits: Limits) -> tuple[
     root = replace(root, by_side=limits.proof is Proof.NONE)
     files = ConeFiles(visible.sources, sampler.domain)
 
-    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
-        # The tree, in the canonical form of files, and the number of each leaf's box.
+    def in_order(levels: list[BoxLevel], priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
+        # The tree, in the canonical form of files, and the number of each leaf's box, as in `boxes_of_levels`.
         tree = tree_of(tree_of_axes(priced.axes, 2).leaves)
-        return tree, priced.box[tree.order]
+        first_number = np.cumsum([0, *(len(level.key) for level in levels)])
+        number = np.concatenate([first + leaf for first, leaf in zip(first_number, priced.leaves, strict=False)])
+        return tree, number[priced.order][tree.order]
 
     def size(levels: list[BoxLevel], priced: PricedTree) -> int:
-        source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
+        source = np.concatenate([level.boxes.source for level in levels])[in_order(levels, priced)[1]]
         return files.num_bytes(source, limits) * (ROOM + 1) // ROOM
 
     # 2. Search the price at which the tree fills the file.
     search = PriceSearch(root, limits, size, len(np.unique(visible.source)))
-    tree, number = in_order(grow(search.first(), search.next, limits))
+    tree, number = in_order(search.levels, grow(search.first(), search.next, limits))
     # 3. Change sources of leaves.
     boxes = boxes_of_levels([level.boxes for level in search.levels], number)
     source = prefer_visible_sources(boxes, sampler.pattern, partial(files.fit, limits))
