@@ -2,7 +2,8 @@
 
 :func:`search` runs Dijkstra's algorithm on a graph of straight edges between corners (o) and centers (x) of open
 cells, up to five cells long, with their exact costs. Where costs jump, paths refract, so sides of cells have two
-nodes each (.), with edges to all nodes of their two cells::
+nodes each (.), with edges to all nodes of their two cells. With heights, the middles of all sides are nodes instead,
+and edges are up to three cells long::
 
     o-------o--.-.--o
     |   x   .   x   .     Edges lead from each corner and center to the corners and centers around it, in all
@@ -32,6 +33,7 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
 
 _LENGTH = 9.5  # most half cells of an edge, if cells are square: 88 edges at each corner and center
+_LENGTH_OVER_HEIGHTS = 6  # most half cells of an edge with heights: 72 edges at each node
 _BAND = 1.25  # rows have the same edges if the shapes of their cells differ by less than this factor
 _MOST_BANDS = 16  # cells that are more than about 1.25**16 times as long as wide have the same edges
 _JUMP = 1.25  # least factor between costs of neighbors beside which sides have nodes; 1.1 is hardly more exact
@@ -50,6 +52,7 @@ Place = tuple[int, int]  # row and column, in units
 # Kinds of nodes: their places in the cell. Each cell has the nodes of its two lower sides, and its center.
 CORNER, CENTER = (0, 0), (_HALF, _HALF)
 _AT_SIDES = (0, 2), (0, 4), (2, 0), (4, 0)
+_MIDDLES = (0, _HALF), (_HALF, 0)  # of sides
 # Offsets, in half cells, from the center of a cell to the corners and centers in the cell and beside it.
 _NEAR = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
 AtOffset = Callable[[Cell], np.ndarray]  # values of the cells that lie at an offset from other cells
@@ -128,7 +131,7 @@ def search(
     # 1. List the steps of edges, by the shape of cells. Rows of cells of about the same shape are a band.
     shape = side[0] / side[1] * (np.ones(len(cost)) if scale is None else scale)
     band = np.clip(np.rint(np.log(shape) / np.log(_BAND)), -_MOST_BANDS, _MOST_BANDS).astype(int)
-    steps = {each: _steps(_BAND**each) for each in np.unique(band).tolist()}
+    steps = {each: _steps(_BAND**each, relief is not None) for each in np.unique(band).tolist()}
     longest = max(
         abs(n) for by_kind in steps.values() for listed in by_kind.values() for step in listed for n in step
     )
@@ -149,15 +152,19 @@ def search(
         scale = np.pad(scale, reach, mode="edge")
     if relief is not None:
         height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
-    # 3. Number the nodes: corners and centers of open cells. Sides have nodes if both cells have a neighbor where the
-    #    cost jumps. Paths pass no corner where two barriers touch, unless they squeeze through.
+    # 3. Number the nodes: corners and centers of open cells and, with heights, the middles of sides. Without heights,
+    #    sides have nodes if both cells have a neighbor where the cost jumps. Paths pass no corner where two barriers
+    #    touch, unless they squeeze through.
     a, b, c, d = is_open[:-1, :-1], is_open[:-1, 1:], is_open[1:, :-1], is_open[1:, 1:]  # a and b are the lower cells
     is_contact = (a == d) & (b == c) & (a != b) & (not squeeze)
     is_node = {CORNER: np.pad((a | b | c | d) & ~is_contact, ((1, 0), (1, 0))), CENTER: is_open}
-    cross = ndimage.generate_binary_structure(2, 1)
-    most = ndimage.maximum_filter(np.where(is_open, cost, 0.0), footprint=cross)
-    is_rough = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
-    is_node |= {kind: is_rough & np.roll(is_rough, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
+    if relief is None:
+        cross = ndimage.generate_binary_structure(2, 1)
+        most = ndimage.maximum_filter(np.where(is_open, cost, 0.0), footprint=cross)
+        is_rough = is_open & (most / _JUMP > ndimage.minimum_filter(cost, footprint=cross))
+        is_node |= {kind: is_rough & np.roll(is_rough, 1, axis=int(kind[0] > 0)) for kind in _AT_SIDES}
+    else:
+        is_node |= {kind: is_open | np.roll(is_open, 1, axis=int(kind[0] > 0)) for kind in _MIDDLES}
     nodes, number, num_nodes = {}, {}, 0
     for kind, is_one in is_node.items():
         last = columns + reach + (not wraps and kind[1] == 0)
@@ -244,7 +251,7 @@ def search(
     return at_centers, at_corners, raster_of(CENTER, nearest_of, -1), tree
 
 
-def _steps(shape: float) -> dict[Place, list[Place]]:
+def _steps(shape: float, has_heights: bool) -> dict[Place, list[Place]]:
     """Return the steps of edges from each kind of nodes, in units, for cells ``shape`` times as wide as high."""
     # 1. Edges between corners and centers have all directions in which they pass no other corner or center, up to a
     #    length. Counted in half cells, corners have even places and centers odd ones:
@@ -253,16 +260,20 @@ def _steps(shape: float) -> dict[Place, list[Place]]:
     #      3      x       x        node if gcd(i, j) is 1. If gcd(i, j) is 2, it passes one place,
     #      2  o       o       o    (i / 2, j / 2), which is no node if i / 2 + j / 2 is odd.
     #      1      x       x
-    #      0  o       o       o
+    #      0  o       o       o    With heights, all these places are nodes, so gcd(i, j) is 1.
     #         0   1   2   3   4
     #
     height, width = shape**-0.5, shape**0.5  # of a cell with the area 1
-    most_i, most_j = int(_LENGTH / height), int(_LENGTH / width)
+    longest = _LENGTH_OVER_HEIGHTS if has_heights else _LENGTH
+    most_i, most_j = int(longest / height), int(longest / width)
     halves = [
         (i, j)
         for i, j in product(range(-most_i, most_i + 1), range(-most_j, most_j + 1))
-        if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2)) and np.hypot(i * height, j * width) <= _LENGTH
+        if (gcd(i, j), (i + j) % (1 if has_heights else 4)) in ((1, 0), (1, 2), (2, 2))
+        and np.hypot(i * height, j * width) <= longest
     ]
+    if has_heights:
+        return {kind: [(_HALF * i, _HALF * j) for i, j in halves] for kind in (CORNER, CENTER, *_MIDDLES)}
     kinds = CORNER, CENTER, *_AT_SIDES
     steps = {kind: [(_HALF * i, _HALF * j) for i, j in halves if kind not in _AT_SIDES] for kind in kinds}
     # 2. Edges from and to nodes at sides stay in a cell.
