@@ -96,7 +96,7 @@ GAP of the mean distance; it is larger near sources, and where costs of neighbor
 ```python
 bounded = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
 reached = bounded.nearest >= 0
-print((bounded.upper - bounded.lower)[reached].mean() / bounded.distance[reached].mean())
+print((bounded.upper[reached] - bounded.lower[reached]).mean() / bounded.distance[reached].mean())
 ```
 
 Rasters of more than 2 million open cells (4 million with bounds, heights or `squeeze`) are too large for a search,
