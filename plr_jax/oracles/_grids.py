@@ -102,9 +102,9 @@ class GridGraph(_CellGraph):
     """Exact length of shortest paths over the cells of a 2-D grid, a `DistanceFn`.
 
     A step leads to one of 4 neighbors and has length 1, or to one of 8, where diagonal steps have length sqrt(2). A
-    diagonal step must not cut a corner, unless it may squeeze: both cells beside it must be free. These are the rules
-    of the Moving AI benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of Robot
-    Runners.
+    diagonal step must not cut a corner: both cells beside it must be free, unless ``squeeze`` is set. These are the
+    rules of the Moving AI benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of
+    Robot Runners.
 
     The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
     :func:`scenes.read_map`. So the columns and rows of ``.scen`` files can be used as ``x`` and ``y``. All points of
@@ -175,8 +175,8 @@ class GridGraph(_CellGraph):
         row, column = np.nonzero(free)
         edges = []
         for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (self.connectivity == 8):
-            is_passed = free[row + down, column] & free[row, column + right]  # the cells beside a diagonal step
-            can = free[row + down, column + right] & (is_passed | self.squeeze)
+            are_free = free[row + down, column] & free[row, column + right]  # the cells beside a diagonal step
+            can = free[row + down, column + right] & (are_free | self.squeeze)
             begin = (row * columns + column)[can]
             edges.append((begin, begin + down * columns + right, np.full(len(begin), math.hypot(down, right))))
         begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))

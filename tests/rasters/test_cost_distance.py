@@ -445,12 +445,12 @@ def test_thin_barriers_in_degrees_have_no_gaps():
 
 @pytest.mark.parametrize("from_sources", [False, True])
 def test_heights_in_degrees_may_come_alone(from_sources):
-    metres = 6_371_008.8 * np.radians(1) * np.cos(np.radians(np.arange(50, 60) + 0.5))  # of a degree along parallels
+    meters = 6_371_008.8 * np.radians(1) * np.cos(np.radians(np.arange(50, 60) + 0.5))  # of a degree along parallels
     heights = degrees_raster(np.tile(1e4 * np.arange(20), (10, 1)), 0, 50, 1)
     heights[9, 19] = np.nan
     options = {"slope_cost": lambda slope: np.where(slope > 0, 3.0, 1.0), "from_sources": from_sources}
     result = cost_distance(1.0, [(0.5, 55.5)], heights=heights, **options)
-    expected = (3 if from_sources else 1) * 10 * metres[5]
+    expected = (3 if from_sources else 1) * 10 * meters[5]
     np.testing.assert_allclose(result.distance.sel(lon=10.5, lat=55.5), expected, rtol=0.02)
     assert np.isinf(result.distance.values[9, 19]) and np.isinf(result.distance).sum() == 1
 
