@@ -194,7 +194,7 @@ def cost_distance(
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
-        directed = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
+        directed: Any = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
         # Barriers get the height of the nearest cell.
         nearest_known = nearest_cells(np.isfinite(height), (box.width / cost.shape[::-1])[::-1])
         relief = Relief(grid.interpolated(height[nearest_known]), directed)
