@@ -140,7 +140,8 @@ class GridGraph(_CellGraph):
             self._set_goal(goal)
 
     def __repr__(self) -> str:
-        return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected)"
+        squeeze = ", squeeze=True" if self.squeeze else ""
+        return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected{squeeze})"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of a shortest path from the cell of ``x[i]`` to the cell of ``y[i]`` for each ``i``.

@@ -26,7 +26,8 @@ _FINE_CELLS = 60_000  # smaller rasters are divided into about so many parts: 24
 MOST_CELLS = 1 << 21  # most cells by default: 8 GB
 MOST_ON_REQUEST = 1 << 22  # most cells if the search is needed: for bounds, heights, or squeezing paths: 17 GB
 _MOST_LATITUDE = 85.0  # degrees: parallels shrink to a point at the poles
-_TOLERANCE = 0.01  # of coordinates, as a share of a cell
+_TOLERANCE = 0.01  # of coordinates of rasters, as a share of a cell
+_ROUNDING = 1e-6  # of coordinates of points, as a share of a cell
 _KEPT = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
 
@@ -86,7 +87,7 @@ class CostDistance:
             many = f"Over more than {MOST_CELLS:,} cells, about square"
             raise ValueError(f"{many}, distances come without paths. Follow a PLR instead: {advice}.")
         box, shape = self._grid.box, self._grid.shape
-        place = box.wrapped(as_point("point", box.settled(point), 2)) - box.lo
+        place = _off_border(as_point("point", box.settled(point), 2), box, shape) - box.lo
         if not ((place >= 0) & (place <= box.width)).all():
             raise ValueError(f"point must lie in the raster {box}, got {shortened(point)}.")
         row, column = cells_of(place, box.width / shape[::-1], shape).tolist()
@@ -307,6 +308,13 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     return cost, box, flips
 
 
+def _off_border(points: Float[np.ndarray, "*k 2"], box: Box, shape: tuple[int, int]) -> Float[np.ndarray, "*k 2"]:
+    # Points that rounding put outside of the raster lie on its border.
+    points = box.wrapped(points)
+    inside = np.clip(points, box.lo, box.hi)
+    return np.where(np.abs(points - inside) <= _ROUNDING * box.width / shape[::-1], inside, points)
+
+
 def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
     """Check the sources, which are points or a mask, and return points ``(k, 2)``.
 
@@ -332,7 +340,7 @@ def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: t
         def is_open(x: Points) -> Bool[np.ndarray, " n"]:
             return box.contains(x) & np.isfinite(cost[cells(x)])
 
-        points = box.wrapped(as_points("sources", box.settled(sources, is_open), 2))
+        points = _off_border(as_points("sources", box.settled(sources, is_open), 2), box, cost.shape)
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 

@@ -72,7 +72,7 @@ def march_over_degrees(cost: Raster, box: Box, points: Points) -> tuple[Raster, 
         between = here + share * (there - here)
         continued = np.minimum(here + share * (here - before), there + (1 - share) * (there - after))
         middle = np.fmax(between, continued)
-    return np.where(np.isfinite(middle), middle, here), nearest[middle_row]
+    return np.where(np.isfinite(middle) & np.isfinite(here), middle, here), nearest[middle_row]
 
 
 def _mercator(latitude: Any) -> Any:

@@ -327,13 +327,17 @@ def _straight_costs(
         cells = home + 0 * beyond, home + beyond * (exits == first[..., None]), home + beyond
         # 2. Add the costs in the cells. Along the border to the previous cell, the cheaper cell counts.
         is_along = (change == 0) & (near < 0)
-        cost_1, cost_2, cost_3 = (np.minimum(cost_in(each), cost_in(each - is_along)) for each in cells)
+        sides = [(cost_in(each), cost_in(each - is_along)) for each in cells]
+        cost_1, cost_2, cost_3 = (np.minimum(*each) for each in sides)
         total = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
-        # 3. Where a motion passes a corner, one of the other two cells there must be no barrier. A source in a corner
-        #    is a source of all cells there.
+        # 3. Where a motion passes a corner, one of the other two cells there must be no barrier; a motion along a
+        #    border stays on one side of it. A source in a corner is a source of all cells there.
         beside = (cost_in(home + beyond * axis) for axis in ((1, 0), (0, 1)))
-        is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside)) & (not squeeze)
-    return np.where(np.isnan(total) | is_contact, np.inf, total)
+        is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside))
+        for share, before, after in zip((first, last), sides, sides[1:], strict=False):
+            one_side = np.minimum(*(np.maximum(*each) for each in zip(before, after, strict=True)))
+            is_contact |= (share > 0) & (share < 1) & np.isinf(one_side)
+    return np.where(np.isnan(total) | (is_contact & (not squeeze)), np.inf, total)
 
 
 def mean_along(
@@ -399,7 +403,10 @@ def _slope_factors(
     stretches = []
     for (a, b), (low, high) in zip(pairwise(shares), pairwise(heights), strict=True):
         # The slope toward the sources: the motion leads from the sources.
-        slope = (low - high) / (float(b - a) * length_at(floor((y + i * (a + b) / 2) / UNITS)))
+        cuts = sorted({a, b, *(Fraction(m - y, i) for m in range(*sorted((y, y + i))) if m % UNITS == 0)})
+        pieces = [(c, d) for c, d in pairwise(cuts) if a <= c and d <= b]  # in one row of cells each
+        run = sum(float(d - c) * length_at(floor((y + i * (c + d) / 2) / UNITS)) for c, d in pieces)
+        slope = (low - high) / run
         factor = as_numbers("slope_cost's answer", slope_fn(slope), "numbers")
         if factor.shape not in ((), slope.shape) or not (factor > 0).all():
             expected = f"slope_cost must return positive numbers of shape {slope.shape}"
