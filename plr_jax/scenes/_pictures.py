@@ -142,9 +142,8 @@ def _require_plain(picture: Any) -> None:
     elif 16 in bits:
         is_plain &= tags.get("PlanarConfiguration") != 2  # 2: one channel after the other
     if not is_plain:
-        expected = "black, gray or color in 8 or 16 bits, unsigned and 0 for black"
-        advice = f"save it in 8 bits for a map of walls; {_TIFF_ADVICE}"
-        raise ValueError(f"expected {expected}, got a TIFF of other pixels: {advice}.")
+        got = f"a TIFF of other pixels: save it in 8 bits for a map of walls; {_TIFF_ADVICE}"
+        raise ValueError(f"expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got {got}.")
     # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
     if picture.tile and "transparency" in picture.info:
         raw_mode = str(picture.tile[0][3])  # how the file stores pixels: "L;4" is gray of 4 bits

@@ -103,7 +103,7 @@ def read_geojson(
             if (corners := as_numbers('"bbox"', bbox, expected)).shape not in ((4,), (6,)):
                 raise ValueError(f'"bbox" must be {expected}, got {shortened(bbox)}.')
             bounds = corners.reshape(2, -1)[:, :2]
-        return _workspace_of(file, geometry, polygons, bounds, squeeze)
+        return _workspace(file, geometry, polygons, bounds, squeeze)
 
 
 def read_wkt(
@@ -134,12 +134,10 @@ def read_wkt(
         except (shapely.errors.GEOSException, NotImplementedError) as error:
             advice = "Put several geometries into a GEOMETRYCOLLECTION."
             raise ValueError(f"expected one geometry in WKT, got something else ({error}). {advice}") from None
-        return _workspace_of(file, geometry, polygons, bounds, squeeze)
+        return _workspace(file, geometry, polygons, bounds, squeeze)
 
 
-def _workspace_of(
-    path: Path, geometry: Any, polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
-) -> Workspace:
+def _workspace(path: Path, geometry: Any, polygons: str, bounds: Box | ArrayLike | None, squeeze: bool) -> Workspace:
     """Return a workspace whose obstacles or, if ``polygons`` is "free", whose free space are the polygons.
 
     ``geometry`` is a Shapely geometry of polygons. If ``bounds`` is None, the bounds are its bounding box.
