@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
-from plr_jax._files import errors_named, yaml_of
+from plr_jax._files import StrPath, errors_named, yaml_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks import require_resolved_pixels
 from plr_jax.geometry.workspace import Workspace
@@ -41,7 +41,7 @@ _TIFF_ADVICE = "for costs use RasterCost or cost_distance with its path, after p
 
 
 def read_image(
-    path: str | os.PathLike[str],
+    path: StrPath,
     resolution: float | int = 1.0,
     origin: ArrayLike = (0, 0),
     *,
@@ -174,7 +174,7 @@ _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # values of occupancy grids
 
 
 def read_map_server(
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     unknown_is_free: bool = False,
     tolerance: float | int = 0.5,
@@ -214,7 +214,7 @@ def read_map_server(
 
 
 def read_cost_map(
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     cost_travel_multiplier: float | int = 2.0,
     unknown_is_free: bool = False,
