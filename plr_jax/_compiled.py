@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import export
-from jax.export import is_symbolic_dim
 from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import is_traced, padded
@@ -115,7 +114,7 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Colum
     """
     # Zeros pad the last part. A batch of symbolic size, as in exported functions, is one part.
     count = rows[0].shape[0]
-    if is_symbolic_dim(count) or 0 < count <= size:
+    if export.is_symbolic_dim(count) or 0 < count <= size:
         return answer(*rows)
     filled = [jnp.pad(column, ((0, -count % size), *((0, 0),) * (column.ndim - 1))) for column in rows]
     parts = tuple(column.reshape(-1, size, *column.shape[1:]) for column in filled)

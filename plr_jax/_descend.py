@@ -200,21 +200,17 @@ def _along_corners(
     #    where a path may turn are compared also for starts that see a goal: a path to another goal may be shorter.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
-    goal_ways = first_visible_in_parts(
-        lambda rows: distances_between(x[rows], goals) + offsets,
-        len(x),
-        num_goals,
-        lambda point, goal: workspace.is_visible(x[point], goals[goal]),
-    )
-    to_place, least = (column[:, 0] for column in goal_ways)
     reached = num_goals + np.flatnonzero(np.isfinite(length[num_goals:]))
+    at_goals = TurnPoints(np.arange(num_goals), goals, offsets, np.zeros((2, num_goals, 2)), places.slack)
     anywhere = TurnPoints(reached, points[reached], length[reached], np.zeros((2, len(reached), 2)), places.slack)
     at_corners = find_turn_points(places, length, onward, num_goals)
-    for turns, may_be_shorter in ((at_corners, num_goals > 1), (anywhere, False)):
+    to_place, least = np.full(len(x), -1), np.full(len(x), np.inf)
+    for turns, may_be_shorter in ((at_goals, False), (at_corners, num_goals > 1), (anywhere, False)):
         pending = np.flatnonzero((to_place < 0) | may_be_shorter)
         a = x[pending]
         place, by_place = turns.first_visible(a, lambda i, place, a=a: workspace.is_visible(a[i], points[place]))
         to_place[pending] = np.where(by_place < least[pending], place, to_place[pending])
+        least[pending] = np.minimum(by_place, least[pending])
     first = np.full(len(starts), -1)
     first[is_free] = to_place
     # A start at a corner continues to the corner's next place.

@@ -14,12 +14,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from plr_jax._arrays import shortened
 
+StrPath: TypeAlias = str | os.PathLike[str]
 _MOST_BYTES = 2**24
 _MOST_NESTED = 32
 _LONGEST_WORD = 1000  # most characters of an unquoted YAML word; finding its type may take quadratic time
@@ -37,7 +38,7 @@ def file_path(path: object) -> Path:
 
 
 @contextmanager
-def errors_named(path: str | os.PathLike[str]) -> Iterator[Path]:
+def errors_named(path: StrPath) -> Iterator[Path]:
     """Yield the path of a file. If the ``with`` block raises a ``ValueError``, put the path before its message."""
     path = file_path(path)
     try:

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
 
 from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size, path_from_root
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Numbers
 from plr_jax.geometry.graph import first_visible_in_parts
 from plr_jax.plr.sampling import lattice
 from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_costs, pulled
@@ -27,7 +27,6 @@ Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays
 Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
 Vertices: TypeAlias = Float[np.ndarray, "n longest dim"]
 Counts: TypeAlias = Int[np.ndarray, " n"]
-Numbers: TypeAlias = Float[np.ndarray, " n"]
 # Paths of `n` starts: vertices, numbers of vertices, lengths, costs, and whether each start is free (see `Descent`).
 Chains: TypeAlias = tuple[Vertices, Counts, Numbers, Numbers, Bool[np.ndarray, " n"]]
 

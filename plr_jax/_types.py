@@ -28,6 +28,7 @@ from jaxtyping import Bool, Float, Int
 
 ArrayLike: TypeAlias = Any  # anything that numpy.asarray accepts; public functions check it
 Points: TypeAlias = Float[np.ndarray, "n dim"]
+Numbers: TypeAlias = Float[np.ndarray, " n"]
 Distances: TypeAlias = Float[np.ndarray, " n"]  # inf where the goal cannot be reached
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 DistanceFn: TypeAlias = Callable[[Points], Distances]

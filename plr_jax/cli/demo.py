@@ -12,9 +12,8 @@ import typer
 import plr_jax
 from plr_jax import plot, scenes
 from plr_jax._types import ArrayLike
+from plr_jax.cli import files
 from plr_jax.cli.build import build
-from plr_jax.cli.files import plot as plot_file
-from plr_jax.cli.files import view
 from plr_jax.cli.inputs import DEFAULT_BYTES
 from plr_jax.cli.plan import solve
 
@@ -65,10 +64,10 @@ def _maze(file: Path) -> None:
     typer.echo(f"        PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
     # 3. Write pictures, and a page.
     for kind in ("distance", "cells", "error"):
-        plot_file(file, file.with_name(f"maze_{kind}.png"), kind=kind)
+        files.plot(file, file.with_name(f"maze_{kind}.png"), kind=kind)
     plot.save(plot.plot_surface(plr, workspace=workspace), surface := file.with_name("maze_surface.png"))
     typer.echo(f"wrote {surface}")
-    view(file, output=file.with_suffix(".html"))
+    files.view(file, output=file.with_suffix(".html"))
     typer.echo(f"Try: plr-jax query {file}")
 
 

@@ -33,16 +33,16 @@ def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: fl
     #      . ? |     | ? .
     #      . . . . . . . .
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
-    within = grid.num_blocked(far_first, far_last) > 0
+    within = grid.blocked.within(far_first, far_last) > 0
     is_doubtful = within.copy()
     for axis in range(grid.dim):
         ahead = (np.arange(grid.dim) == axis)[:, None]
-        is_doubtful &= grid.num_blocked(np.where(ahead, far_first, first), np.where(ahead, far_last, last)) == 0
+        is_doubtful &= grid.blocked.within(np.where(ahead, far_first, first), np.where(ahead, far_last, last)) == 0
     # 2. Count blocked voxels in the part of each row of voxels that is within the radius.
     doubtful = np.flatnonzero(is_doubtful)
     within[doubtful] = False
     for box, begin, end in _rows_within(grid, lo[:, doubtful], hi[:, doubtful], radius):
-        within[doubtful[box[grid.num_blocked(begin, end) > 0]]] = True
+        within[doubtful[box[grid.blocked.within(begin, end) > 0]]] = True
     return within
 
 
@@ -106,7 +106,7 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
         short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & is_clear[motion]
         lo, hi = np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
         for piece, first, last in _rows_within(grid, lo, hi, radius):
-            row = np.flatnonzero(grid.num_blocked(first, last))
+            row = np.flatnonzero(grid.blocked.within(first, last))
             index, place = ragged_indices(last[-1, row] - first[-1, row] + 1)
             row = row[index]  # of each voxel
             voxel = first[:, row]
@@ -182,7 +182,7 @@ class Traversal:
         """
         # 1. A motion passes if no voxel is blocked in its bounding box.
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
-        passes = self.grid.num_blocked(lowest, highest) == 0
+        passes = self.grid.blocked.within(lowest, highest) == 0
         # 2. Follow the other motions from face to face. `live`: the voxels around that each can be in.
         rows = np.flatnonzero(~passes)
         live = self._free_around(rows, self.layers[:, rows])

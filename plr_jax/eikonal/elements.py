@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array, kron
 
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.graph import connected_groups
@@ -69,13 +69,10 @@ class FunctionSpace(NamedTuple):
         raised = weight * np.eye(degree + 1, degree, -1) + (1 - weight) * np.eye(degree + 1, degree)
         derivative = raised @ difference @ _TO_BERNSTEIN[degree]
         operators = []
-        num_rows = len(width) * size
-        first = np.arange(len(width))[:, None] * size  # row of each cell's first node, and of its first control point
         for axis in range(mesh.dim):
             control = reduce(np.kron, [derivative if k == axis else _TO_BERNSTEIN[degree] for k in range(mesh.dim)])
-            i, j = np.nonzero(control)
-            entries = control[i, j] / width[:, axis, None]
-            local = csr_array((entries.ravel(), ((first + i).ravel(), (first + j).ravel())), (num_rows, num_rows))
+            local = kron(eye_array(len(width)), control, "csr")  # a block for each cell
+            local.data /= np.repeat(width[:, axis], np.count_nonzero(control))
             operators.append(csr_array(local @ values))
         return operators
 

@@ -122,9 +122,7 @@ class GridEstimate:
         return goal[nearest_cells(goal >= 0, side)]
 
 
-def _straight_costs(
-    space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, " n"], change: Points
-) -> Float[np.ndarray, " n"]:
+def _straight_costs(space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, " n"], change: Points) -> Costs:
     factor, pulls = rates
     return factor[index] * space.motion_cost.norm(change) + pulled(None if pulls is None else pulls[:, index], change)
 
@@ -375,9 +373,8 @@ def _stencil_edges(
     domain, motion_cost, shape = space.domain, space.motion_cost, is_open.shape
     factor, pulls = rates
     farthest = max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)
-    is_clear: Any = cells == CellState.FREE
-    for axis, wraps in enumerate(domain.periodic):
-        is_clear = ndimage.minimum_filter1d(is_clear, 2 * farthest + 1, axis, mode="wrap" if wraps else "nearest")
+    mode: Any = ["wrap" if wraps else "nearest" for wraps in domain.periodic]
+    is_clear: Any = ndimage.minimum_filter(cells == CellState.FREE, 2 * farthest + 1, mode=mode)
     # 2. Edges between open nodes, in both directions. Of each pair of opposite offsets one is tested, without offsets
     #    that pass another node. `a` and `b` are the flat indices of both ends of edges. Costs take the mean rate of
     #    both ends.

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse import csgraph as sparse_graphs
+from scipy.sparse import coo_array, csgraph, csr_array
 
 from plr_jax._arrays import path_from_root, slices
 from plr_jax._types import Points
@@ -85,13 +84,13 @@ def dijkstra(
     ``adjacency`` is that of a :class:`Graph`. Without a path the distance is ``inf``. The predecessor of a source,
     and of a vertex without a path, is negative.
     """
-    return sparse_graphs.dijkstra(adjacency, indices=source, return_predecessors=True, min_only=True)[:2]
+    return csgraph.dijkstra(adjacency, indices=source, return_predecessors=True, min_only=True)[:2]
 
 
 def connected_groups(num_vertices: int, edges: Int[np.ndarray, "2 _"]) -> Int[np.ndarray, " v"]:
     """Return the number of the connected component of each vertex, from 0; ``edges`` has two rows of vertices."""
     graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(num_vertices, num_vertices))
-    return sparse_graphs.connected_components(graph, directed=False)[1]
+    return csgraph.connected_components(graph, directed=False)[1]
 
 
 def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.ndarray, " d"], vertex: int) -> Points:

@@ -35,9 +35,8 @@ def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
     touches = (lower_left == upper_right) & (upper_left == lower_right) & (lower_left != lower_right)
     is_corner = touches | (lower_left ^ lower_right ^ upper_left ^ upper_right)
     if (count := np.count_nonzero(is_corner)) > _MOST_CORNERS:
-        expected = f"at most {_MOST_CORNERS:,} corners"
-        advice = "smooth the picture, or drop its specks"
-        raise ValueError(f"The outline of the pixels may have {expected}, got {count:,}: {advice}.")
+        got = f"{count:,}: smooth the picture, or drop its specks"
+        raise ValueError(f"The outline of the pixels may have at most {_MOST_CORNERS:,} corners, got {got}.")
     # 2. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs of the outlines. In column order,
     #    they are the ends of vertical runs. A contact counts twice: it ends one run and starts the next.
     corner = np.repeat(np.argwhere(is_corner), 1 + touches[is_corner], axis=0)  # (row, column)
@@ -285,9 +284,8 @@ def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: f
         raise ValueError(f"A workspace must have coordinates up to {LARGEST_COORDINATE:g}, got {got}.")
     least = _LEAST_PIXEL * rounding_at(size, reach)
     if resolution < least:
-        expected = f"at least {least:.2g} at coordinates up to {reach:g}"
-        advice = "choose an origin nearer to zero, or check the units of both"
-        raise ValueError(f"resolution must be {expected}, got {resolution:g}: {advice}.")
+        got = f"{resolution:g}: choose an origin nearer to zero, or check the units of both"
+        raise ValueError(f"resolution must be at least {least:.2g} at coordinates up to {reach:g}, got {got}.")
 
 
 def as_mask(free: ArrayLike) -> Mask:

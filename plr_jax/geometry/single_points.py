@@ -184,8 +184,7 @@ class CornerSight(PointSight):
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]
         opens = self._opens[i] * dy - self._opens[i + 1] * dx
         closes = self._closes[i] * dy - self._closes[i + 1] * dx
-        is_tangent = min(opens, closes) >= -slack or max(opens, closes) <= slack
-        return is_tangent and self.sees(corner, place)
+        return (min(opens, closes) >= -slack or max(opens, closes) <= slack) and self.sees(corner, place)
 
 
 def _flat(values: Shaped[np.ndarray, "..."]) -> memoryview:

@@ -94,15 +94,9 @@ class VoxelGrid:
         return above - (x == faces[above]), above
 
     @cached_property
-    def _blocked(self) -> "Sums":
+    def blocked(self) -> "Sums":
+        """A table that counts the blocked voxels in ranges of voxel numbers."""
         return Sums(~self.padded)
-
-    def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
-        """Count blocked voxels in ranges of voxel numbers from ``first`` to ``last``, both included, along all axes.
-
-        The count is 0 if ``last < first`` along an axis.
-        """
-        return self._blocked.within(first, last)
 
     def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
         """Shrink each range of voxel numbers to the smallest range with the same free voxels.
@@ -119,7 +113,7 @@ class VoxelGrid:
                     begin, end = first[:, rows], last[:, rows]
                     inner_end = end if inward > 0 else begin
                     inner_end[axis] = moved[axis, rows] + inward * (num_layers - 1)
-                    is_blocked = self.num_blocked(begin, end) == np.prod(np.maximum(end - begin + 1, 0), axis=0)
+                    is_blocked = self.blocked.within(begin, end) == np.prod(np.maximum(end - begin + 1, 0), axis=0)
                     least[rows] = np.where(is_blocked, num_layers, least[rows])
                     most[rows] = np.where(is_blocked, most[rows], num_layers - 1)
                 moved[axis] += inward * least

@@ -1,6 +1,5 @@
 """Distances on grids: shortest paths over cells or voxels, and interpolated fields from other libraries."""
 
-import math
 from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import dataclass
@@ -12,16 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import (
-    as_bool,
-    as_cells,
-    as_finite_point,
-    as_numbers,
-    as_points,
-    filled_with_inf,
-    set_fields,
-    shortened,
-)
+from plr_jax import _arrays
 from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
@@ -81,16 +71,16 @@ class _CellGraph(ABC):
         return reach_of_cells(reached, free & ~reached, self.bounds, domain)
 
     def _set_goal(self, goal: ArrayLike) -> None:
-        goal = as_finite_point("The goal", self.bounds.settled(goal, self._are_in_free_cells), self.dim)
+        goal = _arrays.as_finite_point("The goal", self.bounds.settled(goal, self._are_in_free_cells), self.dim)
         if not self._are_in_free_cells(goal[None])[0]:
             raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
-        set_fields(self, goal=goal)
+        _arrays.set_fields(self, goal=goal)
 
     def _are_in_free_cells(self, x: Points) -> Bool[np.ndarray, " n"]:
         return self._padded.ravel()[self._cells_at(x)]
 
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, " n"]:
-        return self._cells_at(as_points(name, self.bounds.settled(x, self._are_in_free_cells), self.dim))
+        return self._cells_at(_arrays.as_points(name, self.bounds.settled(x, self._are_in_free_cells), self.dim))
 
     @abstractmethod
     def _cells_at(self, x: Points) -> Int[np.ndarray, " n"]:
@@ -102,9 +92,9 @@ class GridGraph(_CellGraph):
     """Exact length of shortest paths over the cells of a 2-D grid, a `DistanceFn`.
 
     A step leads to one of 4 neighbors and has length 1, or to one of 8, where diagonal steps have length sqrt(2). A
-    diagonal step must not cut a corner, unless it may squeeze: both cells beside it must be free. These are the rules
-    of the Moving AI benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of Robot
-    Runners.
+    diagonal step must not cut a corner: both cells beside it must be free, unless ``squeeze`` is set. These are the
+    rules of the Moving AI benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of
+    Robot Runners.
 
     The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
     :func:`scenes.read_map`. So the columns and rows of ``.scen`` files can be used as ``x`` and ``y``. All points of
@@ -128,19 +118,20 @@ class GridGraph(_CellGraph):
         self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4, squeeze: bool = False
     ):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
-            raise ValueError(f"connectivity must be 4 or 8, got {shortened(connectivity)}.")
-        if as_bool("squeeze", squeeze) and connectivity == 4:
+            raise ValueError(f"connectivity must be 4 or 8, got {_arrays.shortened(connectivity)}.")
+        if _arrays.as_bool("squeeze", squeeze) and connectivity == 4:
             raise ValueError("squeeze=True needs connectivity=8, with diagonal steps, got connectivity=4.")
         if not (cells := as_mask(free)).size:
             raise ValueError(f"free must have at least one cell, got shape {cells.shape}.")
         cells.flags.writeable = False
-        set_fields(self, free=cells, _padded=np.pad(cells, 1), bounds=Box(np.zeros(2), cells.shape[::-1]))
-        set_fields(self, connectivity=int(connectivity), squeeze=bool(squeeze), goal=None)
+        _arrays.set_fields(self, free=cells, _padded=np.pad(cells, 1), bounds=Box(np.zeros(2), cells.shape[::-1]))
+        _arrays.set_fields(self, connectivity=int(connectivity), squeeze=bool(squeeze), goal=None)
         if goal is not None:
             self._set_goal(goal)
 
     def __repr__(self) -> str:
-        return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected)"
+        squeeze = ", squeeze=True" if self.squeeze else ""
+        return f"GridGraph({' x '.join(map(str, self.free.shape))} cells, {self.connectivity}-connected{squeeze})"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of a shortest path from the cell of ``x[i]`` to the cell of ``y[i]`` for each ``i``.
@@ -175,10 +166,10 @@ class GridGraph(_CellGraph):
         row, column = np.nonzero(free)
         edges = []
         for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (self.connectivity == 8):
-            is_passed = free[row + down, column] & free[row, column + right]  # the cells beside a diagonal step
-            can = free[row + down, column + right] & (is_passed | self.squeeze)
+            are_free = free[row + down, column] & free[row, column + right]  # the cells beside a diagonal step
+            can = free[row + down, column + right] & (are_free | self.squeeze)
             begin = (row * columns + column)[can]
-            edges.append((begin, begin + down * columns + right, np.full(len(begin), math.hypot(down, right))))
+            edges.append((begin, begin + down * columns + right, np.full(len(begin), np.hypot(down, right))))
         begin, end, length = (np.concatenate(column) for column in zip(*edges, strict=True))
         return csr_array((length, (begin, end)), shape=2 * (free.size,))
 
@@ -224,9 +215,9 @@ class VoxelGraph(_CellGraph):
 
     def __init__(self, free: ArrayLike, goal: ArrayLike, moves: int = 26, bounds: Box | ArrayLike | None = None):
         if isinstance(moves, bool) or moves not in _AXES:
-            raise ValueError(f"moves must be 6, 18 or 26, got {shortened(moves)}.")
+            raise ValueError(f"moves must be 6, 18 or 26, got {_arrays.shortened(moves)}.")
         grid = VoxelGrid.of(free, bounds, range(3, 4))
-        set_fields(self, grid=grid, free=grid.free, bounds=grid.bounds, moves=int(moves), _padded=grid.padded)
+        _arrays.set_fields(self, grid=grid, free=grid.free, bounds=grid.bounds, moves=int(moves), _padded=grid.padded)
         self._set_goal(goal)
 
     def __repr__(self) -> str:
@@ -324,7 +315,7 @@ class GridField:
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, free: ArrayLike | None = None):
         bounds = Box.of(bounds, "The bounds")
         expected = f"distances on a grid of {bounds.dim} axes"
-        numbers = np.array(as_numbers("values", filled_with_inf(values), expected), order="C")
+        numbers = np.array(_arrays.as_numbers("values", _arrays.filled_with_inf(values), expected), order="C")
         if numbers.ndim != bounds.dim or numbers.size == 0:
             must = f"{expected}, as the bounds have, the last one along x, with at least one cell"
             raise ValueError(f"values must be {must}, got shape {numbers.shape}.")
@@ -335,9 +326,9 @@ class GridField:
             clip = "use np.maximum(values, 0) for a field that is negative inside the goal"
             raise ValueError(f"values must be at least 0, got {numbers[cell]:g} at {cell}; {mask}, and {clip}.")
         must = f"free must be booleans like values, of shape {numbers.shape}, none masked"
-        is_free = np.isfinite(numbers) if free is None else as_cells(must, free, numbers.shape.__eq__)
+        is_free = np.isfinite(numbers) if free is None else _arrays.as_cells(must, free, numbers.shape.__eq__)
         numbers.flags.writeable = is_free.flags.writeable = False
-        set_fields(self, values=numbers, bounds=bounds, free=is_free)
+        _arrays.set_fields(self, values=numbers, bounds=bounds, free=is_free)
 
     def __repr__(self) -> str:
         return f"GridField({' x '.join(map(str, self.values.shape))} cells, {self.bounds})"
@@ -353,11 +344,10 @@ class GridField:
         The distance is ``inf`` if the cell of the point has no value, and for points outside the bounds or with a
         NaN.
         """
-        x = as_points("x", self.bounds.settled(x, lambda single: np.isfinite(self(single))), self.dim)
+        x = _arrays.as_points("x", self.bounds.settled(x, lambda single: np.isfinite(self(single))), self.dim)
         distances = np.full(len(x), np.inf)
         inside = np.flatnonzero(self.bounds.contains(x))
-        for begin in range(0, len(inside), _POINTS):
-            rows = inside[begin : begin + _POINTS]
+        for rows in _arrays.batches(inside, _POINTS):
             values, is_known = self.interpolated(x[rows])
             distances[rows[is_known]] = values[is_known]
         return distances

@@ -11,7 +11,6 @@ for few pairs, ``PairDistances._distances`` handles batches of many pairs.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,7 +23,7 @@ from plr_jax.geometry.graph import Graph
 from plr_jax.geometry.single_points import FEW, CornerSight, Place, PointLocator
 from plr_jax.geometry.workspace import Workspace
 
-Entries: TypeAlias = Float[np.ndarray, " entries"]
+Entries = Float[np.ndarray, " entries"]
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
 _DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache

@@ -195,18 +195,13 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
         row, column = corners[::-1] if is_transposed else corners
         view = (free.T if is_transposed else free)[:: -1 if is_flipped else 1, :: -1 if is_mirrored else 1]
         steps, view = view.strides, np.ascontiguousarray(view)  # a cell takes a byte
-        yield _Sector(
-            free=view,
-            blocked=dict(zip(_DIAGONALS, _blocked_diagonals(view), strict=True)),
-            place=place,
-            row=view.shape[0] - 1 - row if is_flipped else row,
-            column=view.shape[1] - 1 - column if is_mirrored else column,
-            steps=steps,
-            is_slanted=is_slanted,
-            # Flipped sectors share the cells ahead; mirrored quadrants or transposed octants, the cells aside.
-            keeps_ahead=not is_flipped,
-            keeps_aside=not (is_transposed if is_slanted else is_mirrored),
-        )
+        blocked = dict(zip(_DIAGONALS, _blocked_diagonals(view), strict=True))
+        row = view.shape[0] - 1 - row if is_flipped else row
+        column = view.shape[1] - 1 - column if is_mirrored else column
+        # Flipped sectors share the cells ahead; mirrored quadrants or transposed octants, the cells aside.
+        keeps_ahead = not is_flipped
+        keeps_aside = not (is_transposed if is_slanted else is_mirrored)
+        yield _Sector(view, blocked, place, row, column, steps, is_slanted, keeps_ahead, keeps_aside)
 
 
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:

@@ -271,9 +271,8 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
             message = f"graph must be a grid, such as GridGraph(free), or its free cells, got {shortened(graph)}."
             raise ValueError(message) from error
     if graph.squeeze:
-        raise ValueError(
-            "graph must not have squeeze=True: its paths turn at other corners than those of the tables."
-        )
+        reason = "its paths turn at other corners than those of the tables"
+        raise ValueError(f"graph must not have squeeze=True: {reason}.")
     if graph.free.size > MOST_CELLS:
         raise ValueError(f"graph must have at most {MOST_CELLS} cells, got {graph.free.size}.")
     tables = tables_of(graph.free, graph.connectivity)

@@ -360,9 +360,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, jnp.zeros_like(count, jnp.uint32))
 
 
-def _least_over_blocks(
-    tables: GridTables, cells: Sequence[Cells], bits: Sequence[_Bits], length: _Lengths
-) -> _Lengths:
+def _least_over_blocks(tables: GridTables, cells: Sequence[Cells], bits: list[_Bits], length: _Lengths) -> _Lengths:
     """Return, for each pair of cells, the length of the shortest path over two corners, but at most ``length``.
 
     Each corner is in a block of four corners of its cell. ``cells`` and ``bits`` have an array for the first cells of

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from itertools import product
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,7 +19,7 @@ _DEPTH = 13  # or more times, if these and the depth of a balanced tree of the f
 _MAX_AXIS_DEPTH = 13  # halvings of the domain along an axis
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
-PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
+PairFn = Callable[[ArrayLike, ArrayLike], ArrayLike]
 ToCorners = Float[np.ndarray, "corners"]
 Point = Float[np.ndarray, "2"]
 

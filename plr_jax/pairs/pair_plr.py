@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped, UInt8
+from jaxtyping import Array, Float, UInt8
 
 from plr_jax._arrays import as_finite_point, as_queries, is_traced
 from plr_jax._compiled import answered_in_parts, broadcast_shape, is_on_one_host, serializable
@@ -186,7 +186,9 @@ class PairPLR(FileBacked):
         with np.errstate(over="ignore"):  # points far outside
             points = tuple(np.asarray(p, dtype) for p in points)
         if self._are_few(prod(batch)):
-            rows = (_rows(np.asarray(column), batch) for column in (*points, *columns))
+            # Broadcast all axes but the last one to the batch, and flatten these.
+            whole = (np.broadcast_to(column, (*batch, column.shape[-1])) for column in (*points, *columns))
+            rows = (column.reshape(-1, column.shape[-1]) for column in whole)
             answers = np.atleast_2d(in_numpy(self._numpy, *rows))
         else:
             answers = answered_in_parts(partial(compiled, self.tables), _BLOCKS, *points, *index)
@@ -412,11 +414,6 @@ def _checked(
     answer = jnp.where(is_outside, float(outside), jnp.zeros((), farthest.dtype))
     answer = jnp.where(jnp.isnan(farthest).any(axis=1), jnp.nan, answer)
     return [jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in rows], shape, answer
-
-
-def _rows(values: Shaped[np.ndarray, "..."], batch: tuple[int, ...]) -> Shaped[np.ndarray, "n columns"]:
-    # Broadcast all axes but the last one to the batch, and flatten these.
-    return np.broadcast_to(values, (*batch, values.shape[-1])).reshape(-1, values.shape[-1])
 
 
 def _floats_of(*points: Any) -> Any:

@@ -166,16 +166,14 @@ def _after_all_rounds(after_round: Callable[..., _Search], search: _Search, *pai
     def is_open(search: _Search) -> Flags:
         return _bound_of(search.key, longest) < search.length
 
-    def round_of_all(search: _Search) -> _Search:
+    def next_round(search: _Search) -> _Search:
+        if not is_symbolic_dim(size) and size > _FEW:  # only the open pairs
+            return updated(search, is_open(search), _SEARCHED, after_round, *pairs, leaves_rest=True)
         stays = ~is_open(search)
         after = after_round(search, *pairs)
         return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
-    def round_of_open(search: _Search) -> _Search:
-        return updated(search, is_open(search), _SEARCHED, after_round, *pairs, leaves_rest=True)
-
-    each_round = round_of_all if is_symbolic_dim(size) or size <= _FEW else round_of_open
-    return jax.lax.while_loop(lambda search: is_open(search).any(), each_round, search)
+    return jax.lax.while_loop(lambda search: is_open(search).any(), next_round, search)
 
 
 def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, *pairs: Array) -> _Search:
@@ -214,15 +212,12 @@ def _after_round(tables: PairTables, to_corners: _ToCorners, search: _Search, *p
     better = length < search.length
     word = np.arange(search.hidden_y.shape[1], dtype=np.uint32)[None] == (last >> 5)[:, None]
     bit = jnp.where(word & hidden_y[:, None], jnp.uint32(1) << (last & 31)[:, None], 0)
+    changes = (length, search.length), (first, search.via_x), (last, search.via_y)
+    length, via_x, via_y = (jnp.where(better, new, old) for new, old in changes)
     # 4. Go on to the next first turn if it is hidden, or the path was possible, or no last turn is left. Else only
     #    the last turn is hidden: the next round tries another one.
-    return _Search(
-        length=jnp.where(better, length, search.length),
-        via_x=jnp.where(better, first, search.via_x),
-        via_y=jnp.where(better, last, search.via_y),
-        key=jnp.where(hidden_x | ~hidden_y | (shortest == jnp.inf), next_key, search.key),
-        hidden_y=search.hidden_y | bit,
-    )
+    key = jnp.where(hidden_x | ~hidden_y | (shortest == jnp.inf), next_key, search.key)
+    return _Search(length, via_x, via_y, key, search.hidden_y | bit)
 
 
 def _place_bits(longest: int) -> np.uint32:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, UInt16, UInt32
 
-from plr_jax._arrays import padded, ragged_indices, size_in_eighths
+from plr_jax._arrays import batches, padded, ragged_indices, size_in_eighths
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.occlusion import NearWalls
@@ -171,10 +171,9 @@ def _bounds_to_leaves(
     #     min over k of d_k + |m - k| - bend_k,       bend_k = sum over axes of |s_k - s| h.
     onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
     counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)  # listed corners of each leaf, without padding
-    for count in np.unique(counts[counts > 0]):
+    for count in np.unique(counts[counts > 0]).tolist():
         leaves = np.flatnonzero(counts == count)
-        at_once = max(1, _PATHS_AT_ONCE // (count * len(distances)))
-        for batch in (leaves[first : first + at_once] for first in range(0, len(leaves), at_once)):
+        for batch in batches(leaves, max(1, _PATHS_AT_ONCE // (count * len(distances)))):
             # 1. Compute s_k and |m - k| for each leaf and k, and the rounded slopes.
             corner = listed[batch, :count]
             x, y = (middles[batch, None] - corners[corner]).transpose(2, 0, 1)

@@ -141,15 +141,11 @@ class Solution:
         ``ValueError`` if the solution is inconsistent or the file would be larger than 64 MiB, ``OSError`` if writing
         fails.
         """
-        entry = {
-            "format": format_name(_KIND),
-            "version": _VERSION,
-            "status": self.status.name,
-            **{name: None if (number := getattr(self, name)) == np.inf else float(number) for name in _NUMBERS},
-            "stats": {**asdict(self.stats), **{name: int(getattr(self.stats, name)) for name in _COUNTS}},
-            "times": self.times,
-            "path": self.path,
-        }
+        entry: dict[str, Any] = {"format": format_name(_KIND), "version": _VERSION, "status": self.status.name}
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        entry |= {name: None if number == np.inf else float(number) for name, number in numbers.items()}
+        entry["stats"] = asdict(self.stats) | {name: int(getattr(self.stats, name)) for name in _COUNTS}
+        entry |= {"times": self.times, "path": self.path}
         _solution_from_json(entry)  # raises if the file could not be read back
         data = (json.dumps(entry, allow_nan=False, default=lambda numbers: numbers.tolist()) + "\n").encode()
         if len(data) > _MOST_BYTES:

@@ -5,7 +5,6 @@ neighborhood search", 2021.
 """
 
 from collections import defaultdict
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Int
@@ -27,7 +26,7 @@ _NODE_BYTES = 8  # bytes of a node while a robot is replanned, per step
 # Replanning:
 _GAIN = 1e-2  # rounds of replanning stop if one saves a smaller share of the cost
 _NEIGHBORHOOD = 5  # robots in a neighborhood
-Edges: TypeAlias = Int[np.ndarray, " _"]
+Edges = Int[np.ndarray, " _"]
 
 
 class ReservationTable:

@@ -19,7 +19,6 @@ that looks for a path of the whole team along its lattices, and can pause and co
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -37,7 +36,7 @@ _TURN_GROWTH = 1.5  # ratio of the lengths of consecutive turns
 _MOTION_BYTES = 92  # bytes of a motion while its table is built
 _COLUMN_BYTES = 16  # bytes of costs-to-go and costs-to-come, per robot and node
 _TERM_BYTES = 8  # bytes of a term of the heuristic; given heuristics are stored twice
-LatticeSearch: TypeAlias = LaCAM | BestFirstSearch
+LatticeSearch = LaCAM | BestFirstSearch
 # Searches by name, in the order of their turns:
 SEARCHES: dict[str, type[LatticeSearch]] = {"lacam": LaCAM, "bl": BestFirstSearch}
 

@@ -41,12 +41,9 @@ def asset(name: str) -> str:
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
     """Assemble a web page: ``style`` is CSS added to ``page.css``, ``body`` is HTML, and ``script`` is JavaScript."""
-    placeholders = {
-        "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
-        "body": body,
-        "script": script,
-        "title": html.escape(title),  # last, because it may contain a placeholder
-    }
+    style = asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style
+    # The title is last, because it may contain a placeholder.
+    placeholders = {"style": style, "body": body, "script": script, "title": html.escape(title)}
     page = asset("page.html")
     for name, value in placeholders.items():
         page = page.replace("{{" + name + "}}", value)

@@ -26,8 +26,9 @@ _FINE_CELLS = 60_000  # smaller rasters are divided into about so many parts: 24
 MOST_CELLS = 1 << 21  # most cells by default: 8 GB
 MOST_ON_REQUEST = 1 << 22  # most cells if the search is needed: for bounds, heights, or squeezing paths: 17 GB
 _MOST_LATITUDE = 85.0  # degrees: parallels shrink to a point at the poles
-_TOLERANCE = 0.01  # of coordinates, as a share of a cell
-_REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
+_TOLERANCE = 0.01  # of coordinates of rasters, as a share of a cell
+_ROUNDING = 1e-6  # of coordinates of points, as a share of a cell
+_KEPT = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
 
 def tobler(slope: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
@@ -45,8 +46,9 @@ class CostDistance:
     Attributes:
         distance: Cost distance from the center of each cell to the nearest source; ``inf`` where no source can be
             reached.
-        nearest: Index of the nearest source, or of a source at most about 1 % farther away. The index is -1 where no
-            source can be reached; -1 is the no-data value if this is a ``DataArray``.
+        nearest: Index of the nearest source. The index is -1 where no source can be reached; -1 is the no-data value
+            if this is a ``DataArray``. Over large rasters (fast marching), cells to which two sources are about
+            equally near may have the index of the other one; where costs jump, it may be over 20 % farther.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
             ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 2 to 4 % of the mean
             distance. The difference may be up to 100 % of the distance near sources, and if costs of neighbors differ
@@ -70,10 +72,11 @@ class CostDistance:
         Returns:
             Vertices of the path, ``(n, 2)``, from the center of the cell to the source, even if ``from_sources`` was
             set. The path's cost is the ``distance`` in the cell. Along the border of two cells, the cheaper cell
-            counts. With heights, the path ends at the center of the source's cell. In degrees, vertices are joined by
-            straight lines of longitude and latitude, and a degree of longitude is as long as in the middle of the
-            row; a path around a raster of 360 degrees has longitudes beyond the raster. If both ends are equal, there
-            is one vertex; if the distance is ``inf``, as in barriers, there is none.
+            counts. With heights, the path ends at the center of the source's cell or, in a small raster whose cells
+            are divided, of the source's part of the cell. In degrees, vertices are joined by straight lines of
+            longitude and latitude, and a degree of longitude is as long as in the middle of the row, or row of parts;
+            a path around a raster of 360 degrees has longitudes beyond the raster. If both ends are equal, there is
+            one vertex; if the distance is ``inf``, as in barriers, there is none.
 
         Raises:
             ValueError: If the point is outside the raster, or the result has no paths because the raster has more
@@ -84,7 +87,7 @@ class CostDistance:
             many = f"Over more than {MOST_CELLS:,} cells, about square"
             raise ValueError(f"{many}, distances come without paths. Follow a PLR instead: {advice}.")
         box, shape = self._grid.box, self._grid.shape
-        place = box.wrapped(as_point("point", box.settled(point), 2)) - box.lo
+        place = _off_border(as_point("point", box.settled(point), 2), box, shape) - box.lo
         if not ((place >= 0) & (place <= box.width)).all():
             raise ValueError(f"point must lie in the raster {box}, got {shortened(point)}.")
         row, column = cells_of(place, box.width / shape[::-1], shape).tolist()
@@ -134,10 +137,11 @@ def cost_distance(
         cell_size: Side of a cell, or both sides ``(x, y)``; for arrays only.
         degrees: Whether coordinates are longitude and latitude in degrees. Lengths are then in meters on a sphere of
             the earth's mean radius, 6,371,008.8 m, and a raster of 360 degrees wraps around. Latitudes must be from
-            -85 to 85. None: as the reference system of a ``DataArray`` says or, without one, the names of its
-            coordinates.
+            -85 to 85. None: as the units of a ``DataArray``'s coordinates say or, without units, its reference
+            system or, without one, the names of its dimensions.
         squeeze: Whether paths pass between two barriers that touch in a corner, as they do over 8-connected cells.
-            (Between other cells that touch in a corner, such as those of a road, paths always pass, at no cost.)
+            (Through the common corner of two costly cells, such as those of a road, paths always pass, without
+            entering these cells.)
         heights: Height of each cell, in the unit of length: an array, a ``DataArray`` or the path of a file. With
             heights, costs depend on the direction of travel. Cells without a finite height are barriers.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
@@ -149,11 +153,11 @@ def cost_distance(
         max_bytes: If given, the result has a PLR of at most this many bytes.
 
     Raises:
-        ValueError: If costs or heights are not such rasters. If lengths or costs are too large or too small for
-            64-bit numbers (the message states limits). If there is no source, or a source is outside of the raster or
-            in a barrier. If an option is out of its range, or ``bounds`` comes with heights or degrees. If bounds,
-            heights or ``squeeze`` come with more than 4 million open cells. If fast marching is used and costs differ
-            by more than a factor of 100,000.
+        ValueError: If costs or heights are not rasters as described above. If lengths or costs are too large or too
+            small for 64-bit numbers (the message states limits). If there is no source, or a source is outside of the
+            raster or in a barrier. If an option is out of its range, or ``bounds`` comes with heights or degrees. If
+            bounds, heights or ``squeeze`` come with more than 4 million open cells, or parts of long cells. If fast
+            marching is used and costs differ by more than a factor of 100,000.
         FileNotFoundError: If there is no file at a path.
         ImportError: If a path is given, and rioxarray is missing.
     """
@@ -165,7 +169,7 @@ def cost_distance(
             raise ValueError(f"costs must be {expected}, got shape {np.shape(costs)}.")
         costs = _on_raster(heights, np.broadcast_to(np.ma.filled(costs, np.nan), heights.shape))
     cost, box, flips = _raster(costs, cell_size)
-    box, in_degrees = _in_degrees(costs, box, cost.shape, degrees)
+    box, in_degrees = _box_on_sphere(costs, box, cost.shape, degrees)
     if heights is not None:
         height = raster_values("heights", heights)
         if height.shape != cost.shape:
@@ -175,21 +179,23 @@ def cost_distance(
         cost = np.where(np.isfinite(height), cost, np.inf)
     points = _as_sources(sources, costs, cost, box, flips)
     # 2. The grid for a search for paths or, over many cells, for a march; and the heights in the grid.
+    squeeze = as_bool("squeeze", squeeze)
     if as_bool("bounds", bounds) and in_degrees:
         raise ValueError("Costs in degrees have no proven bounds, since rows are resampled: project the raster.")
-    needs_paths = heights is not None or bounds or as_bool("squeeze", squeeze)
+    needs_paths = heights is not None or bounds or squeeze
     grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS)
     num_cells = int(np.isfinite(cost).sum()) * math.prod(grid.parts)
     if needs_paths and num_cells > MOST_ON_REQUEST:
-        most = f"at most {MOST_ON_REQUEST:,} cells, about square, that are no barriers"
-        raise ValueError(f"With heights, bounds or squeeze, the raster must have {most}, got {num_cells:,}.")
+        most = f"at most {MOST_ON_REQUEST:,} open cells, or parts of cells about as wide as high"
+        got = f"{num_cells:,}: use larger or squarer cells"
+        raise ValueError(f"With heights, bounds or squeeze, the raster must have {most}, got {got}.")
     relief = None
     slope_fn: Any = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
-    directed = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
     if heights is not None:
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
+        directed: Any = (lambda slope: slope_fn(-slope)) if as_bool("from_sources", from_sources) else slope_fn
         # Barriers get the height of the nearest cell.
         nearest_known = nearest_cells(np.isfinite(height), (box.width / cost.shape[::-1])[::-1])
         relief = Relief(grid.interpolated(height[nearest_known]), directed)
@@ -224,12 +230,12 @@ def _on_raster(raster: Any, values: np.ndarray) -> Any:
     """Return a DataArray of values with the coordinates and the reference system of ``raster``."""
     result = raster.copy(data=values)
     result.attrs, result.encoding = (
-        {key: table[key] for key in _REFERENCES if key in table} for table in (raster.attrs, raster.encoding)
+        {key: table[key] for key in _KEPT if key in table} for table in (raster.attrs, raster.encoding)
     )
     return result
 
 
-def _in_degrees(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | None) -> tuple[Box, bool]:
+def _box_on_sphere(costs: Any, box: Box, shape: tuple[int, int], degrees: bool | None) -> tuple[Box, bool]:
     """Return the raster's box, periodic along x if it spans 360 degrees, and whether the raster is in degrees."""
     if degrees is None:
         degrees = is_data_array(costs) and is_in_degrees(costs)
@@ -302,6 +308,13 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     return cost, box, flips
 
 
+def _off_border(points: Float[np.ndarray, "*k 2"], box: Box, shape: tuple[int, int]) -> Float[np.ndarray, "*k 2"]:
+    # Points that rounding put outside of the raster lie on its border.
+    points = box.wrapped(points)
+    inside = np.clip(points, box.lo, box.hi)
+    return np.where(np.abs(points - inside) <= _ROUNDING * box.width / shape[::-1], inside, points)
+
+
 def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: tuple[slice, slice]) -> Points:
     """Check the sources, which are points or a mask, and return points ``(k, 2)``.
 
@@ -327,7 +340,7 @@ def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: t
         def is_open(x: Points) -> Bool[np.ndarray, " n"]:
             return box.contains(x) & np.isfinite(cost[cells(x)])
 
-        points = box.wrapped(as_points("sources", box.settled(sources, is_open), 2))
+        points = _off_border(as_points("sources", box.settled(sources, is_open), 2), box, cost.shape)
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 

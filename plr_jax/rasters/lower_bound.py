@@ -65,7 +65,8 @@ def lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, a
             u + _RELAXATION * each / np.maximum(n, 1) for u, each, n in zip(ahead, change, count, strict=True)
         ]
         middle, corner = (np.minimum(u, start) for u, start in zip(projected, first, strict=True))
-    # 4. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
+    # 4. Rescale. The range of a cell's values includes reflections of its corners in the center, for
+    #    corners that nothing binds.
     factor = (1 + ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
     around = np.stack([u for p in places for u in (corner[p], 2 * middle - corner[p])])
     lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))

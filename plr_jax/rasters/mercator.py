@@ -5,8 +5,8 @@ sphere. So the cost per meter of the map is the cost per meter of the sphere tim
 
     raster, in degrees        Mercator's map
 
-    +-----+-----+             +-----+-----+     Rows of the raster are higher on the map, the farther they are from
-    |     |     |             |  o  |  o  |     the equator. Rows of the grid (o) are equally high. Each row has the
+    +-----+-----+             +-----+-----+     Rows of the raster are taller on the map, the farther they are from
+    |     |     |             |  o  |  o  |     the equator. Rows of the grid (o) are equally tall. Each row has the
     +-----+-----+             |  o  |  o  |     costs of the raster's row in which its middle lies, and no row of the
     |     |     |             +-----+-----+     raster is left out.
     +-----+-----+             |  o  |  o  |
@@ -24,7 +24,7 @@ from plr_jax.rasters.marching import march
 from plr_jax.rasters.search import Nearest, Points, Raster, cells_of
 from plr_jax.rasters.search_grid import EARTH_RADIUS
 
-_EXACT = 1e-6  # centers of cells within this share of a row are the centers of parts
+_EXACT = 1e-6  # tolerance of places on the map, in rows of the grid
 
 
 def march_over_degrees(cost: Raster, box: Box, points: Points) -> tuple[Raster, Nearest]:
@@ -42,8 +42,8 @@ def march_over_degrees(cost: Raster, box: Box, points: Points) -> tuple[Raster, 
     center = (np.arange(num_rows) + 0.5) * side[1]
     row_of = np.clip(np.searchsorted(borders, center) - 1, 0, rows - 1)
     on_map = cost[row_of] / np.cosh((center + _mercator(box.lo[1])) / EARTH_RADIUS)[:, None]
-    # 2. Rows of the grid do not end where rows of the raster do. So sources move up or down to the nearest row of
-    #    their cell, unless they lie in another open cell.
+    # 2. Rows of the grid do not end where rows of the raster do. A source that is in a barrier of the grid moves to
+    #    the nearest row of its cell.
     points = box.wrapped(points)
     x = EARTH_RADIUS * np.radians(points[:, 0] - box.lo[0])
     y = _mercator(points[:, 1]) - _mercator(box.lo[1])
@@ -64,7 +64,7 @@ def march_over_degrees(cost: Raster, box: Box, points: Points) -> tuple[Raster, 
     #
     place = middles / side[1] - 0.5
     middle_row = np.clip(np.rint(place).astype(int), 0, num_rows - 1)
-    middle_row += np.sign(np.arange(rows) - row_of[middle_row])  # the other one of two rows beside the middle
+    middle_row += np.sign(np.arange(rows) - row_of[middle_row])  # if it belongs to another row of the raster
     above = np.where(np.abs(place - middle_row) < _EXACT, 0.0, place - middle_row)
     toward, share = np.sign(above).astype(int), np.abs(above)[:, None]
     before, here, there, after = (distance[np.clip(middle_row + k * toward, 0, num_rows - 1)] for k in (-1, 0, 1, 2))
@@ -72,7 +72,7 @@ def march_over_degrees(cost: Raster, box: Box, points: Points) -> tuple[Raster, 
         between = here + share * (there - here)
         continued = np.minimum(here + share * (here - before), there + (1 - share) * (there - after))
         middle = np.fmax(between, continued)
-    return np.where(np.isfinite(middle), middle, here), nearest[middle_row]
+    return np.where(np.isfinite(middle) & np.isfinite(here), middle, here), nearest[middle_row]
 
 
 def _mercator(latitude: Any) -> Any:

@@ -1,17 +1,17 @@
 """Shortest paths over a raster whose costs are constant in each cell.
 
 :func:`search` runs Dijkstra's algorithm on a graph of straight edges between corners (o) and centers (x) of open
-cells, up to five cells long, with their exact costs. Where costs jump, paths refract, so sides of cells have two
-nodes each (.), with edges to all nodes of their two cells. With heights, the middles of all sides are nodes instead,
-and edges are up to three cells long::
+cells, shorter than five cells, with their exact costs. Where costs jump, paths refract, so a side between two cells
+beside such a jump has two nodes (.), with edges to all nodes of its two cells. With heights, the middles of all sides
+are nodes instead, and edges are up to three cells long::
 
-    o-------o--.-.--o
-    |   x   .   x   .     Edges lead from each corner and center to the corners and centers around it, in all
-    |       .       .     directions in which they pass no other corner or center.
-    o-------o--.-.--o
-    |   x   .   x   .
-    |       .       .
-    o-------o--.-.--o
+    o-------o-------o-------o     Costs jump between the second and the third column. Edges lead from each corner and
+    |   x   |   x   .   x   |     center to the corners and centers around it, in all directions in which they pass no
+    |       |       .       |     other corner or center.
+    o-------o--.-.--o--.-.--o
+    |   x   |   x   .   x   |
+    |       |       .       |
+    o-------o-------o-------o
 
 Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
 """
@@ -34,7 +34,7 @@ from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
 
 _LENGTH = 9.5  # most half cells of an edge, if cells are square: 88 edges at each corner and center
 _LENGTH_OVER_HEIGHTS = 6  # most half cells of an edge with heights: 72 edges at each node
-_BAND = 1.25  # rows have the same edges if the shapes of their cells differ by less than this factor
+_BAND = 1.25  # ratio of the shapes of cells in a band, whose rows have the same edges
 _MOST_BANDS = 16  # cells that are more than about 1.25**16 times as long as wide have the same edges
 _JUMP = 1.25  # least factor between costs of neighbors beside which sides have nodes; 1.1 is hardly more exact
 UNITS = 6  # parts of the width and height of a cell, in which places of nodes are counted
@@ -49,7 +49,7 @@ Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 Cell = tuple[int, int]  # row and column, also of an offset between cells
 Place = tuple[int, int]  # row and column, in units
-# Kinds of nodes: their places in the cell. Each cell has the nodes of its two lower sides, and its center.
+# Kinds of nodes: their places in the cell. Each cell has its center, and the nodes of its lower and its left side.
 CORNER, CENTER = (0, 0), (_HALF, _HALF)
 _AT_SIDES = (0, 2), (0, 4), (2, 0), (4, 0)
 _MIDDLES = (0, _HALF), (_HALF, 0)  # of sides
@@ -71,12 +71,12 @@ class Relief(NamedTuple):
 class PathTree:
     """Shortest paths from the centers of a raster's cells to the nearest source.
 
-    Sources are given points. Coordinates are relative to the raster's lower corner.
+    Coordinates are relative to the raster's lower left corner.
     """
 
     next_node: Int[np.ndarray, " nodes"]  # of each node the next one of its path; negative without a path
-    place: Int32[np.ndarray, "places 2"]  # row and column of each node, in units; the last nodes are sources
-    sources: Points
+    place: Int32[np.ndarray, "places 2"]  # row and column, in units, of each node that is no source
+    sources: Points  # the last nodes
     node_of: Int32[np.ndarray, "rows columns"]  # the node in the center of each cell; negative in barriers
     side: Sides  # of a cell
     period: float | None  # width of the raster if its last column meets the first one
@@ -118,8 +118,8 @@ def search(
     Args:
         cost: Cost per unit of length in each cell; ``inf`` in barriers.
         side: Width and height of a cell.
-        points: Sources, relative to the raster's lower corner, in cells that are no barriers.
-        scale: If given, the length along each row of a unit of the raster, such as the cosine of the latitude.
+        points: Sources, relative to the raster's lower left corner, in cells that are no barriers.
+        scale: If given, for each row, the length of one unit of x, such as the cosine of the latitude.
         wraps: Whether the last column meets the first one.
         squeeze: Whether paths pass between two barriers that touch in a corner.
         relief: If given, the cost at each place is multiplied by the factor of the slope there.
@@ -136,20 +136,20 @@ def search(
         abs(n) for by_kind in steps.values() for listed in by_kind.values() for step in listed for n in step
     )
     # 2. Put a rim around the raster: barriers or, beside the first and the last column of a raster that wraps, the
-    #    columns at the other end. A cell has a flat index in the raster with its rim. The corner of two lower sides
-    #    of a cell has the cell's flat index.
+    #    columns at the other end. A cell has a flat index in the raster with its rim. Nodes have the flat index of
+    #    their cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
     columns = cost.shape[1]
     home = cells_of(points, side, cost.shape)
-    reach = longest // UNITS + 1
-    rim = ((reach, reach), (0, 0)), ((0, 0), (reach, reach))
+    rim_width = longest // UNITS + 1
+    rim = ((rim_width, rim_width), (0, 0)), ((0, 0), (rim_width, rim_width))
     around: Any = {"mode": "wrap"} if wraps else {"constant_values": np.inf}
     cost = np.pad(np.pad(cost, rim[0], constant_values=np.inf), rim[1], **around)
     width = cost.shape[1]
-    inside = np.s_[reach:-reach, reach:-reach]
+    inside = np.s_[rim_width:-rim_width, rim_width:-rim_width]
     flat_cost, is_open = cost.ravel(), np.isfinite(cost)
     if scale is not None:
-        scale = np.pad(scale, reach, mode="edge")
+        scale = np.pad(scale, rim_width, mode="edge")
     if relief is not None:
         height = np.pad(np.pad(relief.height, rim[0], mode="edge"), rim[1], mode="wrap" if wraps else "edge").ravel()
     # 3. Number the nodes: corners and centers of open cells and, with heights, the middles of sides. Without heights,
@@ -167,11 +167,11 @@ def search(
         is_node |= {kind: is_open | np.roll(is_open, 1, axis=int(kind[0] > 0)) for kind in _MIDDLES}
     nodes, number, num_nodes = {}, {}, 0
     for kind, is_one in is_node.items():
-        last = columns + reach + (not wraps and kind[1] == 0)
-        nodes[kind] = np.flatnonzero(is_one & (np.arange(width) >= reach) & (np.arange(width) < last))
+        last = columns + rim_width + (not wraps and kind[1] == 0)  # one column has only the nodes of the left side
+        nodes[kind] = np.flatnonzero(is_one & (np.arange(width) >= rim_width) & (np.arange(width) < last))
         numbers = np.full(is_one.shape, -1, np.int32)
         numbers.ravel()[nodes[kind]] = num_nodes + np.arange(len(nodes[kind]))
-        number[kind] = (np.pad(numbers[:, reach:-reach], rim[1], mode="wrap") if wraps else numbers).ravel()
+        number[kind] = (np.pad(numbers[:, rim_width:-rim_width], rim[1], mode="wrap") if wraps else numbers).ravel()
         num_nodes += len(nodes[kind])
 
     def ends_of(step: Place, kind: Place, begin: Int[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
@@ -183,9 +183,9 @@ def search(
         # The values of a table at an offset from the cells of a block.
         return cache(lambda cell: table[block + cell[0] * width + cell[1]])
 
-    # 4. Compute the edges of all nodes, in blocks of nodes of a kind in a band, by node and step. The cost of an edge
-    #    is its length times the mean cost along it; an infinite cost is no edge.
-    band = np.pad(band, reach, mode="edge")
+    # 4. Compute the edges of all nodes, sorted by node, then step, in blocks of nodes of one kind and one band. The
+    #    cost of an edge is its length times the mean cost along it; an infinite cost is no edge.
+    band = np.pad(band, rim_width, mode="edge")
     band_starts = np.flatnonzero(np.diff(band)) + 1
     blocks = [
         (kind, steps[int(band[block[0] // width])][kind], block)
@@ -219,11 +219,11 @@ def search(
     # 5. Add the edges of sources to the nodes in and beside their cells. With heights, sources move to the centers of
     #    their cells, at no cost.
     if relief is None:
-        near, costs_to_near = _NEAR, _straight_costs(cost, side, scale, points, home, reach, squeeze)
+        near, costs_to_near = _NEAR, _straight_costs(cost, side, scale, points, home, rim_width, squeeze)
     else:
         near, costs_to_near = np.zeros((1, 2), int), np.zeros((len(points), 1))
         points = (home[:, ::-1] + 0.5) * side
-    flat_home = (home + reach) @ (width, 1)
+    flat_home = (home + rim_width) @ (width, 1)
     to_near = np.stack([ends_of((_HALF * i, _HALF * j), CENTER, flat_home) for i, j in near.tolist()], axis=1)
     table = slice(num_edges, num_edges + to_near.size)
     ends[table] = np.maximum(to_near, 0).ravel()
@@ -241,9 +241,9 @@ def search(
         # Values of all corners or centers, from values of all nodes.
         table = np.full(cost.shape, elsewhere, values.dtype)
         table.ravel()[nodes[kind]] = values[number[kind][nodes[kind]]]
-        return table[inside] if kind == CENTER else table[reach : 1 - reach, reach : 1 - reach]
+        return table[inside] if kind == CENTER else table[rim_width : 1 - rim_width, rim_width : 1 - rim_width]
 
-    place = [UNITS * (np.stack(np.divmod(nodes[kind], width), axis=1) - reach) + kind for kind in nodes]
+    place = [UNITS * (np.stack(np.divmod(nodes[kind], width), axis=1) - rim_width) + kind for kind in nodes]
     node_of = number[CENTER].reshape(cost.shape)[inside]
     period = float(columns * side[0]) if wraps else None
     tree = PathTree(toward, np.concatenate(place).astype(np.int32), points, node_of, side, period, relief is None)
@@ -291,19 +291,19 @@ def _straight_costs(
     scale: Float[np.ndarray, " rows"] | None,
     points: Points,
     home: Int[np.ndarray, "k 2"],
-    reach: int,
+    rim_width: int,
     squeeze: bool,
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 
     Nodes are centers and corners of cells, at the offsets ``_NEAR``, in half cells, from the center of the point's
-    cell. ``home`` has the row and column of this cell. ``cost`` and ``scale`` have a rim of ``reach`` cells. A motion
-    through a barrier costs ``inf``, as does a motion between two barriers that touch in a corner, unless it may
-    ``squeeze``.
+    cell. ``home`` has the row and column of this cell. ``cost`` and ``scale`` have a rim of ``rim_width`` cells. A
+    motion through a barrier costs ``inf``, as does a motion between two barriers that touch in a corner, unless it
+    may ``squeeze``.
     """
     # A motion leaves the row and the column of the first cell at most once each, so it passes up to three cells:
     #
-    #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `leaves` are the shares of
+    #      +-------+-------+        `begin` and `change` are rows and columns, in cells. `exits` are the shares of
     #      |       | . end |        the motion at which it leaves the row and the column; 1 if it does not. The first
     #      |       .       |        cell has the share `first` of the motion, the second cell the share last - first,
     #      +-----.-+-------+        and the third cell the rest.
@@ -316,24 +316,28 @@ def _straight_costs(
 
     def cost_in(cells: Int[np.ndarray, "k nodes 2"]) -> Float[np.ndarray, "k nodes"]:
         # The costs of the motions if they were in these cells.
-        row, column = np.moveaxis(cells + reach, 2, 0)
+        row, column = np.moveaxis(cells + rim_width, 2, 0)
         ratio = 1.0 if scale is None else scale[row]
         return cost[row, column] * np.hypot(change[..., 1] * side[0] * ratio, change[..., 0] * side[1])
 
     with np.errstate(divide="ignore", invalid="ignore"):
-        leaves = np.where(np.abs(near) > 1, (home + (near > 0) - begin) / change, 1.0)
-        first, last = leaves.min(axis=2), leaves.max(axis=2)
-        beyond = np.sign(near) * (leaves < 1)
-        cells = home + 0 * beyond, home + beyond * (leaves == first[..., None]), home + beyond
+        exits = np.where(np.abs(near) > 1, (home + (near > 0) - begin) / change, 1.0)
+        first, last = exits.min(axis=2), exits.max(axis=2)
+        beyond = np.sign(near) * (exits < 1)
+        cells = home + 0 * beyond, home + beyond * (exits == first[..., None]), home + beyond
         # 2. Add the costs in the cells. Along the border to the previous cell, the cheaper cell counts.
         is_along = (change == 0) & (near < 0)
-        cost_1, cost_2, cost_3 = (np.minimum(cost_in(each), cost_in(each - is_along)) for each in cells)
+        sides = [(cost_in(each), cost_in(each - is_along)) for each in cells]
+        cost_1, cost_2, cost_3 = (np.minimum(*each) for each in sides)
         total = first * cost_1 + (last - first) * cost_2 + (1 - last) * cost_3  # NaN where a barrier is touched
-        # 3. Where a motion passes a corner, one of the other two cells there must be no barrier. A source in a corner
-        #    is a source of all cells there.
+        # 3. Where a motion passes a corner, one of the other two cells there must be no barrier; a motion along a
+        #    border stays on one side of it. A source in a corner is a source of all cells there.
         beside = (cost_in(home + beyond * axis) for axis in ((1, 0), (0, 1)))
-        is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside)) & (not squeeze)
-    return np.where(np.isnan(total) | is_contact, np.inf, total)
+        is_contact = (first == last) & (first > 0) & (first < 1) & np.isinf(np.minimum(*beside))
+        for share, before, after in zip((first, last), sides, sides[1:], strict=False):
+            one_side = np.minimum(*(np.maximum(*each) for each in zip(before, after, strict=True)))
+            is_contact |= (share > 0) & (share < 1) & np.isinf(one_side)
+    return np.where(np.isnan(total) | (is_contact & (not squeeze)), np.inf, total)
 
 
 def mean_along(
@@ -347,7 +351,7 @@ def mean_along(
     pass between two barriers that touch in a corner.
     """
     # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate is a multiple of
-    #    `UNITS`. Cut it where stretches end, too. The middle of each piece, in cells, tells its cell.
+    #    `UNITS`. Cut it where stretches end, too. A piece lies in the cell of its middle.
     #
     #      +-------+-------+-------+
     #      |       |      .|.  x   |      From center to center by one row and two columns: cuts at 1/4, 1/2 and 3/4.
@@ -399,7 +403,10 @@ def _slope_factors(
     stretches = []
     for (a, b), (low, high) in zip(pairwise(shares), pairwise(heights), strict=True):
         # The slope toward the sources: the motion leads from the sources.
-        slope = (low - high) / (float(b - a) * length_at(floor((y + i * (a + b) / 2) / UNITS)))
+        cuts = sorted({a, b, *(Fraction(m - y, i) for m in range(*sorted((y, y + i))) if m % UNITS == 0)})
+        pieces = [(c, d) for c, d in pairwise(cuts) if a <= c and d <= b]  # in one row of cells each
+        run = sum(float(d - c) * length_at(floor((y + i * (c + d) / 2) / UNITS)) for c, d in pieces)
+        slope = (low - high) / run
         factor = as_numbers("slope_cost's answer", slope_fn(slope), "numbers")
         if factor.shape not in ((), slope.shape) or not (factor > 0).all():
             expected = f"slope_cost must return positive numbers of shape {slope.shape}"

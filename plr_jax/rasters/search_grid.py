@@ -29,14 +29,17 @@ class SearchGrid:
 
     @classmethod
     def of(cls, box: Box, shape: tuple[int, int], in_degrees: bool, num_cells: int) -> "SearchGrid":
-        """Return a grid of about ``num_cells`` parts, about square, or of one part for each of more cells."""
+        """Return the grid that divides cells into about square parts and, if these are few, into up to ``num_cells``.
+
+        Cells in degrees are divided for the second reason only, since the search fits edges to the shape of cells.
+        """
         rows, columns = shape
         unit = EARTH_RADIUS * np.radians(1) if in_degrees else 1.0
         side = box.width / (columns, rows)
-        if in_degrees:
-            side = side * (np.median(_cosines(box, rows)), 1)
-        finer = max(np.sqrt(num_cells / (rows * columns) * side.min() / side.max()), 1.0)
-        wanted = side[::-1] / side.min() * ((finer - 1) // 2 * 2 + 1)
+        ratio = np.ones(2) if in_degrees else side / side.min()
+        finer = max(np.sqrt(num_cells / (rows * columns) / ratio.max()), 1.0)
+        wanted = ratio[::-1] * ((finer - 1) // 2 * 2 + 1)
+        # Odd numbers of parts: 1 up to 1.5, 3 up to 3.5, and so on.
         row_parts, column_parts = (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int).tolist()
         scale = _cosines(box, rows * row_parts) if in_degrees else None
         return cls(box, shape, (row_parts, column_parts), float(unit), scale)
@@ -58,7 +61,7 @@ class SearchGrid:
         return raster.repeat(self.parts[0], axis=0).repeat(self.parts[1], axis=1)
 
     def interpolated(self, raster: Raster) -> Parts:
-        """Return values at the centers of parts, bilinear between centers of cells; constant across the rim."""
+        """Return values at the centers of parts, bilinear between centers of cells and constant beyond them."""
         beside = np.pad(raster, ((1, 1), (0, 0)), mode="edge")
         beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.wraps else "edge")
         along = ((np.arange(n * k) + 0.5) / k + 0.5 for n, k in zip(self.shape, self.parts, strict=True))

@@ -1,13 +1,12 @@
 """Files of buildings: floors and the links between them, as JSON."""
 
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from plr_jax._arrays import shortened
-from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
+from plr_jax._files import StrPath, errors_named, file_path, format_name, json_of, require_format, write_atomically
 from plr_jax.buildings import Building, Link
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._scenes import read_workspace_entry, workspace_entry
@@ -17,7 +16,7 @@ _KIND = "building"
 _KEYS = ("start", "end", "cost")
 
 
-def save_building(building: Building, path: str | os.PathLike[str]) -> None:
+def save_building(building: Building, path: StrPath) -> None:
     """Write a building as a JSON file, with its floors inside; :func:`read_building` describes the format.
 
     ``OSError`` if the file cannot be written; an interrupted write leaves no partial file.
@@ -31,7 +30,7 @@ def save_building(building: Building, path: str | os.PathLike[str]) -> None:
     write_atomically(file_path(path), (json.dumps(content, indent=1) + "\n").encode())
 
 
-def read_building(path: str | os.PathLike[str]) -> Building:
+def read_building(path: StrPath) -> Building:
     """Read a building from a JSON file.
 
     The file is one object with these keys::
@@ -54,7 +53,7 @@ def read_building(path: str | os.PathLike[str]) -> Building:
         return Building([_read_floor(file, i, entry) for i, entry in enumerate(floors)], map(_read_link, links))
 
 
-def is_building(path: str | os.PathLike[str]) -> bool:
+def is_building(path: StrPath) -> bool:
     """Return whether the file ``path`` is JSON that declares itself a building of this format, of any version."""
     try:
         content = json_of(Path(path))

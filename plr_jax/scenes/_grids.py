@@ -1,13 +1,12 @@
 """Readers of grids of free and blocked cells: maps of the Moving AI benchmarks, and volumes of voxels."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
 
 from plr_jax._arrays import shortened
-from plr_jax._files import errors_named, text_of
+from plr_jax._files import StrPath, errors_named, text_of
 from plr_jax.geometry.workspace import Workspace
 
 _PASSABLE = ".GS"  # letters of free cells of a map
@@ -19,7 +18,7 @@ _SMALL_LIST = 2**24  # voxels of a volume that a list of any size may have
 _VOXELS_PER_BYTE = 2**8  # most voxels per byte of a list, for larger volumes
 
 
-def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
+def read_map(path: StrPath, *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace; its bounds are the bounding box of the free cells.
 
     The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``. So a picture with
@@ -35,7 +34,7 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
         return Workspace.from_mask(cells, tolerance=0, squeeze=squeeze)
 
 
-def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
+def read_cells(path: StrPath) -> Bool[np.ndarray, "rows columns"]:
     """Read which cells of a Moving AI ``.map`` grid are free, as a boolean array for :class:`GridGraph`.
 
     Rows are in the order of the file. Cells and errors are as for :func:`read_map`. The starts, goals and published
@@ -65,7 +64,7 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
         return free
 
 
-def read_volume(path: str | os.PathLike[str]) -> Bool[np.ndarray, "..."]:
+def read_volume(path: StrPath) -> Bool[np.ndarray, "..."]:
     """Read which voxels of a volume are free: a boolean array ``free[x, y, z]`` in C order.
 
     The file is of one of two kinds, by its ending:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_bool, as_finite, as_number, shortened
-from plr_jax._files import errors_named, yaml_of
+from plr_jax._files import StrPath, errors_named, yaml_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks import require_resolved_pixels
 from plr_jax.geometry.workspace import Workspace
@@ -41,7 +41,7 @@ _TIFF_ADVICE = "for costs use RasterCost or cost_distance with its path, after p
 
 
 def read_image(
-    path: str | os.PathLike[str],
+    path: StrPath,
     resolution: float | int = 1.0,
     origin: ArrayLike = (0, 0),
     *,
@@ -142,9 +142,8 @@ def _require_plain(picture: Any) -> None:
     elif 16 in bits:
         is_plain &= tags.get("PlanarConfiguration") != 2  # 2: one channel after the other
     if not is_plain:
-        expected = "black, gray or color in 8 or 16 bits, unsigned and 0 for black"
-        advice = f"save it in 8 bits for a map of walls; {_TIFF_ADVICE}"
-        raise ValueError(f"expected {expected}, got a TIFF of other pixels: {advice}.")
+        got = f"a TIFF of other pixels: save it in 8 bits for a map of walls; {_TIFF_ADVICE}"
+        raise ValueError(f"expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got {got}.")
     # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
     if picture.tile and "transparency" in picture.info:
         raw_mode = str(picture.tile[0][3])  # how the file stores pixels: "L;4" is gray of 4 bits
@@ -175,7 +174,7 @@ _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1  # values of occupancy grids
 
 
 def read_map_server(
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     unknown_is_free: bool = False,
     tolerance: float | int = 0.5,
@@ -215,7 +214,7 @@ def read_map_server(
 
 
 def read_cost_map(
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     cost_travel_multiplier: float | int = 2.0,
     unknown_is_free: bool = False,

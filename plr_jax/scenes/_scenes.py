@@ -7,7 +7,6 @@ size.
 
 import json
 import math
-import os
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +17,7 @@ import shapely
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, as_points, require_integer, shortened
-from plr_jax._files import errors_named, format_name, json_of, require_format, write_atomically
+from plr_jax._files import StrPath, errors_named, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import DiscRobot, PointRobot, PolygonRobot, RectangleRobot, Robot
@@ -33,7 +32,7 @@ _SHAPES: dict[str, tuple[type[Robot], tuple[str, ...], int]] = {  # class, field
 }
 
 
-def save(problem: Problem, path: str | os.PathLike[str]) -> None:
+def save(problem: Problem, path: StrPath) -> None:
     """Write a problem as a scene file, usually ``.json``; an interrupted write leaves no partial file.
 
     ``ValueError`` is raised if the format lacks a robot's shape, ``OSError`` if the file cannot be written.
@@ -52,7 +51,7 @@ def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     write_atomically(Path(path), (json.dumps(scene, indent=1) + "\n").encode())
 
 
-def load(path: str | os.PathLike[str]) -> Problem:
+def load(path: StrPath) -> Problem:
     """Read a problem from a scene file.
 
     A file of version 3 is one object with these keys; coordinates are in workspace units, headings in radians::
@@ -85,7 +84,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         return Problem(read_workspace_entry(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 
-def is_scene(path: str | os.PathLike[str]) -> bool:
+def is_scene(path: StrPath) -> bool:
     """Return whether the file ``path`` is JSON that declares itself a scene of this format, of any version."""
     with suppress(ValueError):
         scene = json_of(Path(path))

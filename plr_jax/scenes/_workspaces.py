@@ -5,19 +5,18 @@
 
 import inspect
 import json
-import os
 import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
 from plr_jax._arrays import as_numbers, shortened
-from plr_jax._files import errors_named, json_of, text_of
+from plr_jax._files import StrPath, errors_named, json_of, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import as_polygon, flatten_collections
 from plr_jax.geometry.box import Box
@@ -27,7 +26,7 @@ from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, read_image, 
 from plr_jax.scenes._scenes import is_scene, load
 
 
-def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
+def read_polygons(path: StrPath, *, squeeze: bool = False) -> Workspace:
     """Read a workspace from a JSON file of free-space polygons; its bounds are the bounding box of the polygons.
 
     The file has one of these forms. A ring is a list of points ``[x, y]``; ``"holes"`` is optional::
@@ -51,6 +50,8 @@ def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Wor
         return Workspace.from_polygons(components, squeeze=squeeze)
 
 
+Bounds: TypeAlias = Box | ArrayLike | None
+Role: TypeAlias = Literal["obstacles", "free"]  # of the polygons in a file
 _DEGREES = np.array([180.0, 90.0])
 _MAX_TOWN = 1.0  # degrees: coordinates that span less may be longitudes and latitudes
 _SUPPORTED_TYPES = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
@@ -65,11 +66,7 @@ _MOST_NESTED = 32  # parentheses of WKT: GEOS parses them by recursion
 
 
 def read_geojson(
-    path: str | os.PathLike[str],
-    *,
-    polygons: Literal["obstacles", "free"] = "obstacles",
-    bounds: Box | ArrayLike | None = None,
-    squeeze: bool = False,
+    path: StrPath, *, polygons: Role = "obstacles", bounds: Bounds = None, squeeze: bool = False
 ) -> Workspace:
     """Read the polygons of a GeoJSON file (RFC 7946) as a workspace.
 
@@ -103,16 +100,10 @@ def read_geojson(
             if (corners := as_numbers('"bbox"', bbox, expected)).shape not in ((4,), (6,)):
                 raise ValueError(f'"bbox" must be {expected}, got {shortened(bbox)}.')
             bounds = corners.reshape(2, -1)[:, :2]
-        return _workspace_of(file, geometry, polygons, bounds, squeeze)
+        return _workspace(file, geometry, polygons, bounds, squeeze)
 
 
-def read_wkt(
-    path: str | os.PathLike[str],
-    *,
-    polygons: Literal["obstacles", "free"] = "free",
-    bounds: Box | ArrayLike | None = None,
-    squeeze: bool = False,
-) -> Workspace:
+def read_wkt(path: StrPath, *, polygons: Role = "free", bounds: Bounds = None, squeeze: bool = False) -> Workspace:
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
     A ``.wkt`` file has one polygon, one multipolygon, or one collection of polygons and multipolygons. Empty
@@ -134,12 +125,10 @@ def read_wkt(
         except (shapely.errors.GEOSException, NotImplementedError) as error:
             advice = "Put several geometries into a GEOMETRYCOLLECTION."
             raise ValueError(f"expected one geometry in WKT, got something else ({error}). {advice}") from None
-        return _workspace_of(file, geometry, polygons, bounds, squeeze)
+        return _workspace(file, geometry, polygons, bounds, squeeze)
 
 
-def _workspace_of(
-    path: Path, geometry: Any, polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
-) -> Workspace:
+def _workspace(path: Path, geometry: Any, polygons: str, bounds: Bounds, squeeze: bool) -> Workspace:
     """Return a workspace whose obstacles or, if ``polygons`` is "free", whose free space are the polygons.
 
     ``geometry`` is a Shapely geometry of polygons. If ``bounds`` is None, the bounds are its bounding box.
@@ -186,7 +175,7 @@ _READERS: dict[str, Callable[..., Workspace]] = {
 }
 
 
-def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) -> Workspace:
+def read_workspace(path: StrPath | BaseGeometry, **options: Any) -> Workspace:
     """Read a workspace from a file of any supported format, chosen by the file's ending and content.
 
     - picture, such as ``.png``: :func:`read_image`; map of ``map_server``, ``.yaml``: :func:`read_map_server`

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int8
 
 from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, set_fields, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Numbers
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._space import CellState, Configurations, MotionCost, as_boxes, as_motions, batches, precision_of
 
@@ -20,7 +20,6 @@ _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the la
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
-Numbers: TypeAlias = Float[np.ndarray, " n"]
 ClearanceFn: TypeAlias = Callable[[np.ndarray], ArrayLike]
 
 

@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_finite, as_numbers, as_values, set_fields, shortened
-from plr_jax._types import ArrayLike
+from plr_jax._types import ArrayLike, Numbers
 from plr_jax.spaces._space import MotionCost, precision_of
 
 _ROUNDING = 16.0  # error of a user's function that is allowed for, in units in the last place
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
-Numbers: TypeAlias = Float[np.ndarray, " n"]
 # *Pulls* are two vectors for each box or configuration. They are the part of a cost that depends on the direction: a
 # motion ``dq`` costs the larger of the scalar products of ``dq`` with the two vectors more than without pulls.
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]

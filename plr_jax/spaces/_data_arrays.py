@@ -23,12 +23,10 @@ _SCALES = ("scale_factor", 1.0), ("scales", 1.0), ("add_offset", 0.0), ("offsets
 _REFERENCES = "crs_wkt", "spatial_ref", "crs", "grid_mapping_name"
 # The first of these words in a reference system tells whether it is geographic (group 1) or projected.
 _KIND = re.compile(
-    r"(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=(?!OB_TRAN)", re.IGNORECASE
+    r"(?i)(\b(?:GEOG|GEOD)\w*[\[(]|PROJ=L(?:AT|ON)|LATITUDE_LONGITUDE)|\bPROJ\w*[\[(]|PROJ=(?!OB_TRAN)"
 )
 # Units and radii (in meters, or feet) of geographic reference systems whose coordinates are not degrees on the Earth.
-_ELSEWHERE = re.compile(
-    r'"grad"|(?:(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*|\+[AR]=)(?!(?:6[34]|20[89])\d{5}\b)', re.IGNORECASE
-)
+_ELSEWHERE = re.compile(r'(?i)"grad"|(?:(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*|\+[AR]=)(?!(?:6[34]|20[89])\d{5}\b)')
 _X_NAMES = {"x", "lon", "longitude", "easting"}
 _Y_NAMES = {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}

@@ -85,7 +85,7 @@ class VoxelSpace:
         x = q[free].T
         if self.radius == 0:  # not all voxels that contain the point are blocked
             below, above = self.grid.numbers(x)
-            free[free] = self.grid.num_blocked(below, above) < np.prod(above - below + 1, axis=0)
+            free[free] = self.grid.blocked.within(below, above) < np.prod(above - below + 1, axis=0)
         else:
             free[free] = ~blocked_within(self.grid, x, x, self.radius - self.tolerance)
         return free
@@ -101,7 +101,7 @@ class VoxelSpace:
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
         above, below = self.grid.numbers(lo)[1], self.grid.numbers(hi)[0]
         first, last = np.minimum(above, below), np.maximum(above, below)  # swapped for a box without extent on a face
-        num, num_blocked = np.prod(last - first + 1, axis=0), self.grid.num_blocked(first, last)
+        num, num_blocked = np.prod(last - first + 1, axis=0), self.grid.blocked.within(first, last)
         state = np.full(len(num), CellState.MIXED, np.int8)
         state[num_blocked == num] = CellState.BLOCKED
         free = np.flatnonzero(num_blocked == 0)
@@ -165,7 +165,7 @@ class VoxelSpace:
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
         # 1. The free voxels that the box touches must fill a box: their range has no blocked voxel.
         first, last = self.grid.free_range(self.grid.numbers(lo)[0], self.grid.numbers(hi)[1])
-        sees = np.all(first <= last, axis=0) & (self.grid.num_blocked(first, last) == 0)
+        sees = np.all(first <= last, axis=0) & (self.grid.blocked.within(first, last) == 0)
         # 2. The point must lie in that range and in the given box: voxel k has the faces number k and k + 1.
         for axis, faces in enumerate(self.grid.faces):
             sees &= np.maximum(lo[axis], faces[first[axis]]) <= q[:, axis]

@@ -93,8 +93,7 @@ def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Arr
     ``table`` has the cells that each segment crosses, as packed bits (see :func:`crossed_cells`); ``blocked`` has the
     blocked cells in the same form.
     """
-    hits = (crossed & word for crossed, word in zip(table, blocked, strict=True))
-    return reduce(jnp.bitwise_or, hits) == 0
+    return reduce(jnp.bitwise_or, (crossed & word for crossed, word in zip(table, blocked, strict=True))) == 0
 
 
 @lru_cache(maxsize=8)

@@ -105,8 +105,7 @@ class PolygonCorners:
 
         edges = self._edges(dx.dtype)
         num_passes = -(-len(edges[0]) // _EDGES)
-        padded = [jnp.pad(each, ((0, -len(each) % num_passes), (0, 0))) for each in edges]
-        passes = [each.reshape(num_passes, -1, 2) for each in padded]
+        passes = [jnp.pad(each, ((0, -len(each) % num_passes), (0, 0))).reshape(num_passes, -1, 2) for each in edges]
         return ~lax.scan(add_hits, jnp.zeros(dx.shape, bool), passes)[0]
 
     def seen_from(self, ends: Points) -> Bool[Array, "n corners"]:

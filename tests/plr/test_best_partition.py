@@ -100,8 +100,8 @@ def size(levels, tree):
 def best_boxes(root, **given):
     price_search = PriceSearch(root, limits_for(**given), size)
     tree = grow(price_search.first(), price_search.next, limits_for(**given))
-    first, *others = (level.boxes for level in price_search.levels)
-    return first.append(*others)[tree.box]
+    first, *others = (level.boxes[box] for level, box in zip(price_search.levels, tree.leaves, strict=False))
+    return first.append(*others)
 
 
 def search(costs, **given):

@@ -125,6 +125,21 @@ def test_no_path_passes_between_touching_barriers(heights, num_parts, monkeypatc
         np.testing.assert_allclose(result.distance[[0, 1], [0, 1]], np.sqrt(0.5))
 
 
+@pytest.mark.parametrize("source", [(1, 0), (1, 0.5)])
+def test_paths_from_grid_lines_do_not_pass_between_touching_barriers(source, monkeypatch):
+    monkeypatch.setattr(_cost_distance, "_FINE_CELLS", 1)
+    costs = np.ones((20, 20))
+    costs[0, 0] = costs[1, 1:15] = np.nan
+    assert cost_distance(costs, [source]).distance[1, 0] > 2 * 13
+    assert cost_distance(costs.T, [source[::-1]]).distance[0, 1] > 2 * 13
+    assert cost_distance(costs, [source], squeeze=True).distance[1, 0] < 2
+
+
+def test_points_beside_the_raster_by_rounding_are_on_its_border():
+    result = cost_distance(np.ones((3, 3)), [(3 + 1e-9, 1.5)], cell_size=1)
+    assert result.distance[1, 2] == pytest.approx(0.5) and len(result.path((-1e-9, 1.5))) == 2
+
+
 def test_masks_number_sources_by_rows():
     mask = np.zeros((20, 30), bool)
     mask[3, 25] = mask[15, 2] = True
@@ -432,7 +447,9 @@ def test_cost_along_path_in_degrees_is_the_distance(side):
         np.testing.assert_allclose(along, result.distance.values[::-1][i, j], rtol=1e-9, atol=1e-6)
 
 
-def test_thin_barriers_in_degrees_have_no_gaps():
+@pytest.mark.parametrize("most_cells", [10**6, 0])
+def test_thin_barriers_in_degrees_have_no_gaps(most_cells, monkeypatch):
+    monkeypatch.setattr(_cost_distance, "MOST_CELLS", most_cells)
     costs = np.ones((80, 30))
     costs[np.arange(80), np.arange(80) * 30 // 80] = np.nan
     costs[0, :] = np.nan
@@ -445,12 +462,12 @@ def test_thin_barriers_in_degrees_have_no_gaps():
 
 @pytest.mark.parametrize("from_sources", [False, True])
 def test_heights_in_degrees_may_come_alone(from_sources):
-    metres = 6_371_008.8 * np.radians(1) * np.cos(np.radians(np.arange(50, 60) + 0.5))  # of a degree along parallels
+    meters = 6_371_008.8 * np.radians(1) * np.cos(np.radians(np.arange(50, 60) + 0.5))  # of a degree along parallels
     heights = degrees_raster(np.tile(1e4 * np.arange(20), (10, 1)), 0, 50, 1)
     heights[9, 19] = np.nan
     options = {"slope_cost": lambda slope: np.where(slope > 0, 3.0, 1.0), "from_sources": from_sources}
     result = cost_distance(1.0, [(0.5, 55.5)], heights=heights, **options)
-    expected = (3 if from_sources else 1) * 10 * metres[5]
+    expected = (3 if from_sources else 1) * 10 * meters[5]
     np.testing.assert_allclose(result.distance.sel(lon=10.5, lat=55.5), expected, rtol=0.02)
     assert np.isinf(result.distance.values[9, 19]) and np.isinf(result.distance).sum() == 1
 

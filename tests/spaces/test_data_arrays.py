@@ -128,7 +128,7 @@ FILES += [
 @pytest.mark.parametrize(
     "options",
     [*FILES, *(pytest.param(options, marks=pytest.mark.full) for options in STORED[1::2])],
-    ids=lambda options: "-".join(map(str, options.values())),
+    ids=lambda options: "-".join("edit" if callable(each) else str(each) for each in options.values()),
 )
 def test_files_are_read_as_by_rasterio(options, tmp_path):
     check(write(tmp_path / "costs", **options))
