@@ -211,10 +211,10 @@ def mountain(seed: int, smoke: bool) -> dict[str, Any]:
 def large(seed: int, smoke: bool) -> dict[str, Any]:
     side = 500 if smoke else LARGE
     rng = np.random.default_rng(seed)
-    costs = ndimage.zoom(1 + 9 * rng.random((side // 100, side // 100)), 100, order=1)
+    costs: Any = ndimage.zoom(1 + 9 * rng.random((side // 100, side // 100)), 100, order=1)
     sources = rng.uniform(0, side, (LARGE_SOURCES, 2))
     at = np.arange(side) + 0.5
-    chunks = dask.array.from_array(costs.astype(np.float32), chunks=min(side, 1_000))
+    chunks = dask.array.from_array(costs.astype(np.float32))
     costs = xarray.DataArray(chunks, {"y": at, "x": at}, ("y", "x"))
     seconds, result = timed(lambda: cost_distance(costs, sources))
     reached = float(np.isfinite(result.distance).mean())

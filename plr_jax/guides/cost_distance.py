@@ -88,10 +88,10 @@ print(there.distance[30, 5] / 60, back.distance[30, 5] / 60)  # minutes up to th
 
 # How good is it?
 
-In our experiments, mean errors are ERRORS where costs change slowly, CLASSES in land classes with roads of one cell,
-and SLOPES with heights. `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are
-constant in each cell, in a plane without heights. `upper` is the distance, rounded up. The mean gap between them is
-GAP of the mean distance; it is larger near sources, and where costs of neighbors differ by a factor of 100 or more.
+In our experiments, mean errors are 0.03 to 0.04 % where costs change slowly, 0.1 to 0.2 % in land classes with roads
+of one cell (at most 2.2 % in a cell), and 0.04 to 0.5 % with heights. `bounds=True` adds `result.lower` and
+`result.upper`, which are proven for costs that are constant in each cell, in a plane without heights. `upper` is the
+distance, rounded up. The mean gap between the bounds is 1.5 to 3.5 % of the mean distance; it is larger near sources.
 
 ```python
 bounded = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
@@ -101,7 +101,7 @@ print((bounded.upper[reached] - bounded.lower[reached]).mean() / bounded.distanc
 
 Rasters of more than 2 million open cells (4 million with bounds, heights or `squeeze`) are too large for a search,
 which takes 4 kB a cell. They are marched over by scikit-fmm: without paths, with errors of 0.1 to 0.3 % where costs
-change slowly, and of 0.5 to 7 % where costs jump. 100 million cells of a Dask array take LARGE.
+change slowly, and of 0.5 to 7 % where costs jump. 100 million cells of a Dask array take 104 s of CPU time and 14 GB.
 
 # A file of kilobytes
 
