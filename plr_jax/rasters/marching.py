@@ -46,7 +46,8 @@ def march(cost: Raster, side: Sides, points: Points, wraps: bool) -> tuple[Raste
     is_near[tuple(cells_of(points, side, cost.shape).T)] = True
     radius = int(np.sqrt(_MOST_NEAR / is_near.sum()) / 2)
     is_near = ndimage.maximum_filter(is_near, 2 * min(radius, _RADIUS) + 1, mode=modes) & is_open
-    start, _, nearest, _ = search(np.where(is_near, cost, np.inf), side, points, wraps=wraps)
+    options: Any = {"squeeze": False, "scale": None, "relief": None}
+    start, _, nearest, _ = search(np.where(is_near, cost, np.inf), side, points, wraps, **options)
     at_border = is_near & ndimage.maximum_filter(is_open & ~is_near, 3, mode=modes)
     level = float(start[at_border].min(initial=np.inf))
     # 2. March from these cells.

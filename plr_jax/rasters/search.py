@@ -45,6 +45,8 @@ Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
 Nearest = Int[np.ndarray, "rows columns"]
 Sides = Float[np.ndarray, "2"]
+Scale = Float[np.ndarray, " rows"]
+CellIndices = Int[np.ndarray, "k 2"]  # rows and columns
 Points = Float[np.ndarray, "k 2"]
 Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 Cell = tuple[int, int]  # row and column, also of an offset between cells
@@ -104,14 +106,7 @@ class PathTree:
 
 
 def search(
-    cost: Raster,
-    side: Sides,
-    points: Points,
-    *,
-    scale: Float[np.ndarray, " rows"] | None = None,
-    wraps: bool = False,
-    squeeze: bool = False,
-    relief: Relief | None = None,
+    cost: Raster, side: Sides, points: Points, wraps: bool, squeeze: bool, scale: Scale | None, relief: Relief | None
 ) -> tuple[Raster, AtCorners, Nearest, PathTree]:
     """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
@@ -119,9 +114,9 @@ def search(
         cost: Cost per unit of length in each cell; ``inf`` in barriers.
         side: Width and height of a cell.
         points: Sources, relative to the raster's lower left corner, in cells that are no barriers.
-        scale: If given, for each row, the length of one unit of x, such as the cosine of the latitude.
         wraps: Whether the last column meets the first one.
         squeeze: Whether paths pass between two barriers that touch in a corner.
+        scale: If given, for each row, the length of one unit of x, such as the cosine of the latitude.
         relief: If given, the cost at each place is multiplied by the factor of the slope there.
 
     Returns:
@@ -132,9 +127,7 @@ def search(
     shape = side[0] / side[1] * (np.ones(len(cost)) if scale is None else scale)
     band = np.clip(np.rint(np.log(shape) / np.log(_BAND)), -_MOST_BANDS, _MOST_BANDS).astype(int)
     steps = {each: _steps(_BAND**each, relief is not None) for each in np.unique(band).tolist()}
-    longest = max(
-        abs(n) for by_kind in steps.values() for listed in by_kind.values() for step in listed for n in step
-    )
+    longest = max(abs(n) for by_kind in steps.values() for step in by_kind[CENTER] for n in step)
     # 2. Put a rim around the raster: barriers or, beside the first and the last column of a raster that wraps, the
     #    columns at the other end. A cell has a flat index in the raster with its rim. Nodes have the flat index of
     #    their cell.
@@ -286,13 +279,7 @@ def _steps(shape: float, has_heights: bool) -> dict[Place, list[Place]]:
 
 
 def _straight_costs(
-    cost: Raster,
-    side: Sides,
-    scale: Float[np.ndarray, " rows"] | None,
-    points: Points,
-    home: Int[np.ndarray, "k 2"],
-    rim_width: int,
-    squeeze: bool,
+    cost: Raster, side: Sides, scale: Scale | None, points: Points, home: CellIndices, rim_width: int, squeeze: bool
 ) -> Float[np.ndarray, "k nodes"]:
     """Return the costs of straight motions from points to the nodes in each point's cell and in the cells beside it.
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from plr_jax.geometry.box import Box
-from plr_jax.rasters.search import Points, Raster, Sides
+from plr_jax.rasters.search import Points, Raster, Scale, Sides
 
 EARTH_RADIUS = 6_371_008.8  # mean radius, in meters
 Parts = Float[np.ndarray, "part_rows part_columns"]
@@ -25,7 +25,7 @@ class SearchGrid:
     shape: tuple[int, int]  # rows and columns of the raster
     parts: tuple[int, int]  # rows and columns of parts in each cell: odd, so that a part has the cell's center
     unit: float  # of the raster's coordinates, in the plane
-    scale: Float[np.ndarray, " part_rows"] | None  # cosine of the latitude of each row of parts, for degrees
+    scale: Scale | None  # cosine of the latitude of each row of parts, for degrees
 
     @classmethod
     def of(cls, box: Box, shape: tuple[int, int], in_degrees: bool, num_cells: int) -> "SearchGrid":
@@ -49,11 +49,6 @@ class SearchGrid:
         """Width and height of a part, in the plane."""
         return self.unit * self.box.width / np.multiply(self.shape, self.parts)[::-1]
 
-    @property
-    def wraps(self) -> bool:
-        """Whether the last column meets the first one."""
-        return self.box.periodic[0]
-
     def divided(self, raster: Raster) -> Parts:
         """Return the raster's values in each part of its cells."""
         if self.parts == (1, 1):
@@ -63,7 +58,7 @@ class SearchGrid:
     def interpolated(self, raster: Raster) -> Parts:
         """Return values at the centers of parts, bilinear between centers of cells and constant beyond them."""
         beside = np.pad(raster, ((1, 1), (0, 0)), mode="edge")
-        beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.wraps else "edge")
+        beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.box.periodic[0] else "edge")
         along = ((np.arange(n * k) + 0.5) / k + 0.5 for n, k in zip(self.shape, self.parts, strict=True))
         return ndimage.map_coordinates(beside, np.meshgrid(*along, indexing="ij"), order=1)
 
