@@ -29,7 +29,7 @@ The result is a `plr_jax.CostDistance`. Where no source can be reached, `distanc
 
 With `pip install 'plr-jax[gis]'`, costs and heights may be paths of files, whose scale is applied, or `DataArray`s of
 two dimensions. Cells without data are barriers. Sources and paths have the coordinates of the file; masks have its
-order of rows. Results are `DataArray`s; `result.distance.sel(x=x, y=y, method="nearest")` is the distance at a point.
+order of rows. Results are `DataArray`s. The distance of a path is that in the cell of `path[0]`, the cell's center.
 
 ```text
 result = plr_jax.cost_distance("friction.tif", clinics)

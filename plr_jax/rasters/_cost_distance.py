@@ -218,6 +218,7 @@ def cost_distance(
         plr = construct(GridField(results[0], box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
     # 4. Results in the order and with the coordinates of the given raster: `flips` applied again.
+    results[1] = results[1].astype(np.int32)  # older GIS read no GeoTIFF of 64-bit integers
     tables: list[Any] = [table[flips] for table in results]
     if is_data_array(costs):
         for k, name in enumerate(("distance", "nearest", "lower", "upper")[: len(tables)]):
@@ -354,6 +355,6 @@ def _as_sources(sources: ArrayLike, costs: Any, cost: Raster, box: Box, flips: t
         raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
     is_barred: Any = ~np.isfinite(cost[cells(points)])
     if is_barred.any():
-        advice = "For a mask of sources, use mask & np.isfinite(costs)."
+        advice = "A mask of sources needs & np.isfinite(costs), with costs read by mask_and_scale=True."
         raise ValueError(f"sources must not lie in barriers, got {first(is_barred)}: move it. {advice}")
     return points
