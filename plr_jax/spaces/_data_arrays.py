@@ -50,8 +50,9 @@ def opened(name: str, raster: Any) -> Any:
         try:
             import rioxarray
 
-            # Values stay numbers if their unit is minutes (decode_times), and are read once (cache).
-            file: Any = rioxarray.open_rasterio(raster, mask_and_scale=True, decode_times=False, cache=False)
+            # Values stay numbers if their unit is minutes (decode), and are read once (cache).
+            options: Any = {"mask_and_scale": True, "decode_times": False, "decode_timedelta": False, "cache": False}
+            file: Any = rioxarray.open_rasterio(raster, **options)
             if not is_data_array(file) or len(file) != 1:
                 advice = "choose one, as by rioxarray.open_rasterio(path, mask_and_scale=True)[0]"
                 raise ValueError(f"{name} must be a file of one band, got several: {advice}.")

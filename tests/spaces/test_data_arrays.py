@@ -174,7 +174,7 @@ def test_netcdf_files_are_read(attrs, tmp_path):
         np.testing.assert_array_equal(raster_values("costs", read), [[1, 2.5, np.inf], [4, 5, 6]])
         box, _ = data_array_box("costs", read)
         assert box.lo.tolist() == [19.5, 9.5] and box.hi.tolist() == [22.5, 11.5] and is_in_degrees(read)
-    unscaled = xarray.open_dataarray(tmp_path / "costs.nc", engine="scipy", mask_and_scale=False)
+    unscaled = xarray.open_dataarray(tmp_path / "costs.nc", **options, mask_and_scale=False)
     with pytest.raises(ValueError, match="scale_factor or add_offset of values to be scaled: open it with mask_and"):
         raster_values("costs", unscaled)
 
