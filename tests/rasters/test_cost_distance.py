@@ -1,13 +1,11 @@
 """Cost distances over rasters, compared with closed forms, exact shortest paths and sums along paths."""
 
-from itertools import pairwise, product
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy import ndimage
+from raster_helpers import cost_along
 from scipy.optimize import minimize_scalar
 
 from plr_jax import VisibilityGraph, Workspace, cost_distance
@@ -191,44 +189,6 @@ def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp
         read.close()
 
 
-def cost_along(path, costs, side=(1, 1), heights=None, slope_cost=None, parts=(1, 1), scale=None):
-    """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two.
-
-    Heights are bilinear at vertices and where the polyline crosses a row or a column of centers of the cells' parts.
-    Between these places, heights are linear. ``scale`` is the length along each row of parts of a unit of the raster.
-    """
-    total, rows_and_columns = 0.0, parts[::-1]
-    for begin, end in pairwise(path / side):
-        change = end - begin
-        borders, lines = (
-            np.concatenate(
-                [
-                    ((np.arange(999) + h) / n - b) / c
-                    for n, b, c in zip(rows_and_columns, begin, change, strict=True)
-                    if c
-                ]
-            )
-            for h in (0, 0.5)
-        )
-        cuts, lines = (np.unique(np.clip(np.append(each, (0, 1)).round(12), 0, 1)) for each in (borders, lines))
-        cuts = np.union1d(cuts, lines)
-        middles = begin + (cuts[:-1, None] + cuts[1:, None]) / 2 * change
-        x, y = (middles[:, None] + list(product((-1e-9, 1e-9), repeat=2))).transpose(2, 0, 1)
-        padded = np.pad(costs, 1, constant_values=np.inf)
-        rates = padded[
-            tuple(np.clip(np.floor(at).astype(int) + 1, 0, n + 1) for at, n in zip((y, x), costs.shape, strict=True))
-        ]
-        row = np.floor(y * parts[0]).astype(int)
-        ratio = 1 if scale is None else scale[np.clip(row, 0, len(scale) - 1)]
-        rates = (rates * np.hypot(change[0] * side[0] * ratio, change[1] * side[1])).min(axis=1)
-        if heights is not None:
-            at = (begin + lines[:, None] * change)[:, ::-1].T - 0.5
-            height = np.interp(cuts, lines, ndimage.map_coordinates(heights, at, order=1, mode="nearest"))
-            rates *= slope_cost(np.diff(height) / (np.diff(cuts) * np.linalg.norm(change * side)))
-        total += np.diff(cuts) @ rates
-    return total
-
-
 @pytest.mark.parametrize("side", [12, 80])  # cells are divided; cells are not divided
 def test_cost_along_path_is_the_distance(side):
     costs = np.pad(np.random.default_rng(3).choice([1.0, 2, 5, np.nan], (side, side)), 1, constant_values=1)
@@ -388,115 +348,9 @@ def test_own_slope_costs_count_uphill_and_downhill():
         assert found.distance[0, 8] == pytest.approx(expected)
 
 
-def degrees_raster(values, west, south, step):
-    """Return a DataArray of longitudes and latitudes, from north to south; ``values`` start in the south."""
-    xarray = pytest.importorskip("xarray")
-    rows, columns = np.shape(values)
-    lat, lon = (start + step * (np.arange(count) + 0.5) for start, count in ((south, rows), (west, columns)))
-    return xarray.DataArray(np.array(values, float), {"lat": lat, "lon": lon}, ("lat", "lon"))[::-1]
-
-
-def great_circle(lon, lat, place):
-    """Return the distance in meters along great circles of the mean earth."""
-    lon, lat, (lon0, lat0) = np.radians(lon), np.radians(lat), np.radians(place)
-    cosine = np.sin(lat) * np.sin(lat0) + np.cos(lat) * np.cos(lat0) * np.cos(lon - lon0)
-    return 6_371_008.8 * np.arccos(np.clip(cosine, -1, 1))
-
-
-@pytest.mark.parametrize("most_cells", [10**6, 0])
-def test_distances_in_degrees_are_great_circles(most_cells, monkeypatch):
-    monkeypatch.setattr(_cost_distance, "MOST_CELLS", most_cells)
-    raster = degrees_raster(np.full((40, 180), 2.0), -180, -20, 2)  # around the earth, 20 S to 60 N
-    sources = [(171.0, 31.0), (-61.0, 5.0)]
-    result = cost_distance(raster, sources)
-    lon, lat = np.meshgrid(raster.lon, raster.lat)
-    truth = 2 * np.stack([great_circle(lon, lat, source) for source in sources])
-    least = truth.min(axis=0)
-    is_inside = (np.abs(lat - 20) < 25) & (least > 4e6) & (least < 1.6e7)  # other great circles leave the raster
-    error = np.abs(result.distance.values - least)[is_inside] / least[is_inside]
-    assert error.mean() < 0.002 and error.max() < 0.015
-    is_clear = is_inside & (np.abs(truth[0] - truth[1]) > 1e6)
-    assert (result.nearest.values == truth.argmin(axis=0))[is_clear].all()
-    assert result.distance.sel(lon=171, lat=31) < 1e5
-
-
-def test_paths_in_degrees_pass_the_antimeridian_and_barriers():
-    costs = np.ones((40, 180))
-    costs[10:20, 175] = np.nan
-    result = cost_distance(degrees_raster(costs, -180, -20, 2), [(-163.0, 11.0)])
-    path = result.path((161.0, 11.0))
-    np.testing.assert_allclose(path[[0, -1]], [(161, 11), (197, 11)], atol=1e-9)  # east of 180
-    steps = [great_circle(*a, b) for a, b in pairwise(path)]
-    np.testing.assert_allclose(sum(steps), result.distance.sel(lon=161, lat=11), rtol=0.003)
-    assert sum(steps) > 1.001 * great_circle(161, 11, (197, 11))
-    assert np.isinf(result.distance.values[::-1][10:20, 175]).all()
-
-
-@pytest.mark.parametrize("side", [8, 60])  # cells are divided; cells are not divided
-def test_cost_along_path_in_degrees_is_the_distance(side):
-    costs = np.random.default_rng(3).choice([1.0, 2, 5, np.inf], (side, side))
-    costs[side // 2] = 1
-    raster = degrees_raster(costs, 20, 82 - side, 1)
-    result = cost_distance(raster, [(20.3, 82.2 - side / 2)])
-    count = side * result._grid.parts[0]
-    scale = np.cos(np.radians(82 - side + (np.arange(count) + 0.5) / count * side))
-    meters = 6_371_008.8 * np.radians(1)
-    for i, j in np.argwhere(np.isfinite(result.distance.values[::-1]))[:: side // 4].tolist():
-        path = (result.path((20.5 + j, 82.5 - side + i)) - (20, 82 - side)) * meters
-        along = cost_along(path, costs, (meters, meters), parts=result._grid.parts, scale=scale)
-        np.testing.assert_allclose(along, result.distance.values[::-1][i, j], rtol=1e-9, atol=1e-6)
-
-
-@pytest.mark.parametrize("most_cells", [10**6, 0])
-def test_thin_barriers_in_degrees_have_no_gaps(most_cells, monkeypatch):
-    monkeypatch.setattr(_cost_distance, "MOST_CELLS", most_cells)
-    costs = np.ones((80, 30))
-    costs[np.arange(80), np.arange(80) * 30 // 80] = np.nan
-    costs[0, :] = np.nan
-    result = cost_distance(degrees_raster(costs, 10, 4, 1), [(12.5, 80.5)])
-    row, column = np.indices(costs.shape)
-    is_east = column > row * 30 // 80
-    assert np.isinf(result.distance.values[::-1][is_east]).all()
-    assert np.isfinite(result.distance.values[::-1][~is_east & np.isfinite(costs)]).all()
-
-
-@pytest.mark.parametrize("from_sources", [False, True])
-def test_heights_in_degrees_may_come_alone(from_sources):
-    meters = 6_371_008.8 * np.radians(1) * np.cos(np.radians(np.arange(50, 60) + 0.5))  # of a degree along parallels
-    heights = degrees_raster(np.tile(1e4 * np.arange(20), (10, 1)), 0, 50, 1)
-    heights[9, 19] = np.nan
-    options = {"slope_cost": lambda slope: np.where(slope > 0, 3.0, 1.0), "from_sources": from_sources}
-    result = cost_distance(1.0, [(0.5, 55.5)], heights=heights, **options)
-    expected = (3 if from_sources else 1) * 10 * meters[5]
-    np.testing.assert_allclose(result.distance.sel(lon=10.5, lat=55.5), expected, rtol=0.02)
-    assert np.isinf(result.distance.values[9, 19]) and np.isinf(result.distance).sum() == 1
-
-
-def test_a_plr_in_degrees_wraps():
-    result = cost_distance(degrees_raster(np.ones((20, 90)), -180, -40, 4), [(-178, 2)], max_bytes=1024)
-    lon = np.array([-179.9, 179.9, 170, -170])
-    values = result.plr(np.stack([lon, np.full(4, 2.0)], axis=1))
-    np.testing.assert_allclose(values, great_circle(lon, 2.0, (-178, 2)), atol=4e5)
-    assert abs(values[0] - values[1]) < 5e4
-
-
 def test_squeezing_paths_pass_between_barriers():
     costs = np.full((4, 4), np.nan)
     costs[range(4), range(4)] = 1
     result = cost_distance(costs, [(0.5, 0.5)], squeeze=True)
     np.testing.assert_allclose(result.distance[range(4), range(4)], np.sqrt(2) * np.arange(4))
     assert result.path((3.5, 3.5)).tolist() == [[3.5, 3.5], [0.5, 0.5]]
-
-
-@pytest.mark.parametrize(
-    ("raster", "options", "message"),
-    [
-        (TWO, {"degrees": True}, "degrees=True needs a DataArray"),
-        ((np.ones((2, 2)), 0, 84, 1), {}, r"between latitudes -85 and 85 degrees, got 84 to 86: crop it"),
-        ((np.ones((2, 361)), 0, 0, 1), {}, r"at most 360 degrees, got 361"),
-        ((np.ones((2, 2)), 0, 0, 1), {"bounds": True}, "no proven bounds, since"),
-    ],
-)
-def test_invalid_degrees_raise(raster, options, message):
-    with pytest.raises(ValueError, match=message):
-        cost_distance(degrees_raster(*raster) if isinstance(raster, tuple) else raster, FIRST, **options)
