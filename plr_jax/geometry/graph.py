@@ -25,7 +25,7 @@ VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n
 
 
 class Arcs(NamedTuple):
-    """One-way edges of a graph, with lengths of their own, at least 0. Several arcs may join the same vertices."""
+    """Directed edges of a graph, with lengths of their own, at least 0. Several arcs may join the same vertices."""
 
     start: Int[np.ndarray, " a"]
     end: Int[np.ndarray, " a"]

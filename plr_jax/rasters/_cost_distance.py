@@ -48,7 +48,7 @@ class CostDistance:
             reached.
         nearest: Index of the nearest source. The index is -1 where no source can be reached; -1 is the no-data value
             if this is a ``DataArray``. Over large rasters (fast marching), cells to which two sources are about
-            equally near may have the index of the other one; where costs jump, it may be over 20 % farther.
+            equally near may have the index of the other one; where costs jump, it may be much farther.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
             ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 1.5 to 3.5 % of the mean
             distance. The difference may be up to 100 % of the distance near sources, and if costs of neighbors differ
@@ -120,9 +120,10 @@ def cost_distance(
 
     The search for paths takes 4 kB of memory for each open cell (a cell that is no barrier). So for rasters of more
     than 2 million open cells, fast marching replaces the search, unless bounds, heights or ``squeeze`` are given.
-    Fast marching takes about 110 bytes a cell. The errors of fast marching are 0.1 to 0.3 % on average where costs
-    change slowly, 0.5 to 7 % where costs jump, and 20 % where they are random in each cell. A cell that is much
-    longer than wide counts as several cells, as the search divides the cell into parts that are about square.
+    Fast marching takes about 140 bytes a cell, with the raster. The errors of fast marching are 0.1 to 0.3 % on
+    average where costs change slowly, 0.5 to 7 % where costs jump, and more where they are random in each cell. A
+    cell that is much longer than wide counts as several cells, as the search divides the cell into parts that are
+    about square.
 
     Args:
         costs: Positive costs per unit of length, ``(rows, columns)``: an array, a masked array, an xarray
@@ -181,7 +182,7 @@ def cost_distance(
     # 2. The grid for a search for paths or, over many cells, for a march; and the heights in the grid.
     squeeze = as_bool("squeeze", squeeze)
     if as_bool("bounds", bounds) and in_degrees:
-        raise ValueError("Costs in degrees have no proven bounds, since rows are resampled: project the raster.")
+        raise ValueError("Costs in degrees have no proven bounds, which need a plane: project the raster.")
     needs_paths = heights is not None or bounds or squeeze
     grid = SearchGrid.of(box, cost.shape, in_degrees, _FINE_CELLS)
     num_cells = int(np.isfinite(cost).sum()) * math.prod(grid.parts)
