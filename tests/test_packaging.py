@@ -26,8 +26,13 @@ def distributions(tmp_path_factory) -> list[Path]:
 @pytest.mark.full
 def test_distributions_build_and_pass_twine(distributions):
     version = plr_jax.__version__
-    assert [path.name for path in distributions] == [f"plr_jax-{version}-py3-none-any.whl", f"plr_jax-{version}.tar.gz"]
-    subprocess.run([sys.executable, "-m", "twine", "check", "--strict", *distributions], check=True, capture_output=True)
+    assert [path.name for path in distributions] == [
+        f"plr_jax-{version}-py3-none-any.whl",
+        f"plr_jax-{version}.tar.gz",
+    ]
+    subprocess.run(
+        [sys.executable, "-m", "twine", "check", "--strict", *distributions], check=True, capture_output=True
+    )
     with tarfile.open(distributions[1]) as archive:
         packed = {name.partition("/")[2] for name in archive.getnames()}
     assert packed >= {path.name for path in ROOT.glob("[A-Z]*.*")} | {"LICENSE", "plr_jax/py.typed"}
@@ -48,7 +53,10 @@ def test_wheel_works_in_an_empty_environment(distributions, tmp_path):
     ):
         subprocess.run(command, check=True, capture_output=True, cwd=tmp_path, env=environment)
     assert (tmp_path / "maze.plr").stat().st_size <= 1024
-    assert all(path.stat().st_size > 0 for path in (tmp_path / "demo").iterdir()) and (tmp_path / "demo/maze.plr").exists()
+    assert (
+        all(path.stat().st_size > 0 for path in (tmp_path / "demo").iterdir())
+        and (tmp_path / "demo/maze.plr").exists()
+    )
 
 
 def test_changelog_and_citation_have_the_version():
