@@ -1,20 +1,15 @@
-// A browser starts no worker for a page that is opened as a file. Run the worker of the search in a hidden frame.
+// A browser starts no worker for a page that is opened as a file: run the search's worker in a hidden frame.
 window.IFrameWorker = class extends EventTarget {
   constructor(url) {
     super();
-    const frame = document.createElement("iframe");
-    frame.hidden = true;
-    document.body.append(frame);
+    const frame = document.body.appendChild(Object.assign(document.createElement("iframe"), { hidden: true }));
     const inner = (this.inner = frame.contentWindow);
     inner.document.write("<!doctype html><body></body>");
     inner.document.close();
-    const load = (source) => new Promise((resolve) => {
-      const script = inner.document.createElement("script");
-      Object.assign(script, { src: source, onload: resolve });
-      inner.document.body.append(script);
-    });
-    inner.importScripts = (...sources) => sources.reduce((last, source) => last.then(() => load(source)), Promise.resolve());
-    inner.postMessage = (data) => setTimeout(() => this.dispatchEvent(new MessageEvent("message", { data })));
+    const load = (src) => new Promise((onload) =>
+      inner.document.body.append(Object.assign(inner.document.createElement("script"), { src, onload })));
+    inner.importScripts = (...urls) => urls.reduce((last, next) => last.then(() => load(next)), Promise.resolve());
+    inner.postMessage = (data) => this.dispatchEvent(new MessageEvent("message", { data }));
     this.loaded = load(url);
   }
   postMessage(data) {
