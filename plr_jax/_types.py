@@ -270,7 +270,9 @@ class HeuristicFn(Protocol):
     term only once per configuration of this robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
-    def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]: ...
+    def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]:
+        """Return the estimates, ``(n,)``, for joint configurations ``(n, robots, dof)``."""
+        ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
         """Return each robot's term of the sum. The term depends only on the configuration of this robot."""

@@ -44,7 +44,8 @@ class VisibilityGraph(PickledWithoutCaches):
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, two finite numbers in closed free space, else ``ValueError``.
-        shared, goal_view: For internal use.
+        shared: For internal use.
+        goal_view: For internal use.
     """
 
     workspace: Workspace
