@@ -1,11 +1,11 @@
-"""Figures 1 to 3 of the paper: a PLR as a surface, error maps of PLRs in the maze, paths of teams; the README's picture.
+"""The picture of README.md, and figures 1 to 3 of the paper: a surface, error maps in the maze, paths of teams.
 
 Error maps have a row for each oracle, as in the paper: (a) the visibility graph, (b) PRM*. A column for each
 configuration: the paper's (axes in turn, depth 9) and the default at 2,048 bytes. All share one logarithmic scale of
 colors. Paths are those of three discs in the cross, in two halves, and of two rectangles in the tangle.
 
-The picture at the top of README.md shows distances and a path in the maze, proven bounds along a line, and a moment of
-a team's film.
+The picture of README.md shows distances and a path in the maze, proven bounds along a line, and a moment of a team's
+film.
 """
 
 import base64
