@@ -28,8 +28,8 @@ _RIVALS = {
 def rivals(results: dict[str, Any], query: dict[str, Any]) -> str:
     """Errors at one number of bytes, one row an approximation and one column a map; and of a grid in equal memory.
 
-    Below the table are times of queries of planes and of grids of about as many bytes. The page of results has all maps
-    and contenders; ``thin_maze`` gives nearly the numbers of ``maze``.
+    Below the table are times of queries of planes and of grids of about as many bytes. The page of results has all
+    maps and contenders; ``thin_maze`` gives nearly the numbers of ``maze``.
     """
     maps = {
         name: {row["contender"]: row for row in rows if row["budget"] == _SHORT_BYTES}

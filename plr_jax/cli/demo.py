@@ -1,6 +1,7 @@
 """The command ``plr-jax demo``: compress a maze, compare it with its oracle, and plan for four robots."""
 
 import statistics
+import sys
 import timeit
 from collections.abc import Callable
 from pathlib import Path
@@ -70,7 +71,7 @@ def _maze(file: Path) -> None:
     typer.echo("        the distance to the goal; cells, each with one next corner of paths; errors of the file")
     files.view(file, output=file.with_suffix(".html"))
     typer.echo("        at the pointer: the distance, its proven bounds, and the path")
-    typer.echo(f"try     echo 0.93,0.95 | plr-jax query {file} --bounds")
+    typer.echo(f"try     echo 0.93,0.95 | {sys.argv[0]} query {file} --bounds")
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
