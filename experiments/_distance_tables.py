@@ -10,7 +10,7 @@ from experiments.compare_summaries import MAX_BYTES, TOLERANCE
 _SHORT_BYTES = 6_144
 _PLRS = ("PLR, cones", "PLR, planes", "PLR, continuous")
 _SHORT_CONTENDERS = (*_PLRS, "coded grid", "network, 16-bit")
-_SPEED_CONTENDERS = ("PLR, planes", "PLR, planes, Numba loop", "grid, JAX", "grid, SciPy", "LightGBM linear tree")
+_SPEED_CONTENDERS = ("PLR, planes", "grid, JAX", "grid, SciPy")
 _BYTES_A_CORNER = 4  # two coordinates of 16 bits
 _RIVALS = {
     "ours": "construct_pairs",
@@ -25,10 +25,11 @@ _RIVALS = {
 }
 
 
-def rivals(results: dict[str, Any]) -> str:
+def rivals(results: dict[str, Any], query: dict[str, Any]) -> str:
     """Errors at one number of bytes, one row an approximation and one column a map; and of a grid in equal memory.
 
-    The page of results has all maps; ``thin_maze`` gives nearly the numbers of ``maze``.
+    Below the table are times of queries of planes and of grids of about as many bytes. The page of results has all
+    maps and contenders; ``thin_maze`` gives nearly the numbers of ``maze``.
     """
     maps = {
         name: {row["contender"]: row for row in rows if row["budget"] == _SHORT_BYTES}
@@ -40,7 +41,12 @@ def rivals(results: dict[str, Any]) -> str:
         table.append([contender, *(mean_and_largest(rows[contender]["free"]) for rows in maps.values())])
     in_memory = [mean_and_largest(rows["PLR, planes"]["grid_in_memory"]) for rows in maps.values()]
     table.append(["32-bit grid, memory of planes", *in_memory])
-    return markdown(table, numbers=len(maps))
+    sizes, nanoseconds = [n for n in query["plane"]["points"] if n > 1], query["plane"]["nanoseconds"]
+    times = "; ".join(
+        f"{name} {' and '.join(f'{nanoseconds[name][str(n)][0]:.3g}' for n in sizes)}" for name in _SPEED_CONTENDERS
+    )
+    batches = " and ".join(f"{n:,}" for n in sizes)
+    return markdown(table, numbers=len(maps)) + f"\nNanoseconds a point in batches of {batches} (maze): {times}.\n"
 
 
 def cones_and_best_rival(results: dict[str, Any], name: str, budget: int) -> tuple[float, float, str]:
@@ -81,11 +87,6 @@ def leaves(results: dict[str, Any]) -> str:
         f"\n`max_bytes={results['budget']}`. Memory: bytes once loaded. In C: bytes of code and tables. "
         f"Errors in workspace units; largest distance: {scale}.\n"
     )
-
-
-def speed(results: dict[str, Any]) -> str:
-    """Bytes, error and nanoseconds a point of a PLR and of some others in its place."""
-    return _nanoseconds(results["plane"], _SPEED_CONTENDERS)
 
 
 def query(results: dict[str, Any]) -> str:

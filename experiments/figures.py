@@ -1,11 +1,15 @@
-"""Figures 1 to 3 of the paper: a PLR as a surface, error maps of PLRs in the maze, paths of teams.
+"""The picture of README.md, and figures 1 to 3 of the paper: a surface, error maps in the maze, paths of teams.
 
 Error maps have a row for each oracle, as in the paper: (a) the visibility graph, (b) PRM*. A column for each
 configuration: the paper's (axes in turn, depth 9) and the default at 2,048 bytes. All share one logarithmic scale of
 colors. Paths are those of three discs in the cross, in two halves, and of two rectangles in the tangle.
+
+The picture of README.md shows distances and a path in the maze, proven bounds along a line, and a moment of a team's
+film.
 """
 
 import base64
+import math
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,7 +20,7 @@ from matplotlib.figure import Figure
 from experiments._planning import PLR_BYTES, SCENES, SMOKE_BYTES, solved_scene
 from experiments._runner import Section, run
 from experiments.table1 import NUM_ROADMAP_SAMPLES, papers_own
-from plr_jax import PLR, Box, Euclidean, Roadmap, VisibilityGraph, Workspace, construct, metrics, plot, scenes
+from plr_jax import PLR, Box, Euclidean, Roadmap, VisibilityGraph, Workspace, construct, metrics, plot, scenes, trace
 from plr_jax.plr import from_bytes
 
 DEPTH_OF_SURFACE = 6
@@ -27,6 +31,9 @@ PATHS = (
     ("cross 3", 0.5, 1.0, "second half"),
     ("tangle", 0.0, 1.0, "two rectangles change places in the hallway"),
 )
+CONE_BYTES, SECTION_BYTES = 1_024, 200  # of the picture of README.md; bounds of small files are wide enough to see
+START, SECTION_X = (0.93, 0.93), 0.55
+TEAM, MOMENT = "four rooms 4", 0.55  # share of the film
 
 
 def surface(seed: int, smoke: bool) -> dict[str, Any]:
@@ -122,10 +129,65 @@ def draw_paths(results: dict[str, Any], output: Path) -> list[Path]:
     return [path]
 
 
+def overview(seed: int, smoke: bool) -> dict[str, Any]:
+    """The PLR of the README's first example, a smaller one with bounds of each leaf, and a team's path."""
+    workspace, exact = maze()
+    limits = {"distance_fn": exact, "domain": workspace.bounds}
+    cones = construct(**limits, leaf="cone", max_bytes=300 if smoke else CONE_BYTES, certified=True)
+    planes = construct(**limits, max_bytes=SECTION_BYTES, certified="leaves")
+    results: dict[str, Any] = {name: as_text(plr) for name, plr in (("cones", cones), ("planes", planes))}
+    results |= {"path": trace(cones, np.array([START])).paths[0].tolist()}
+    return results | {"team": solved_scene(TEAM, SMOKE_BYTES if smoke else PLR_BYTES)}
+
+
+def draw_overview(results: dict[str, Any], output: Path) -> list[Path]:
+    (workspace, exact), cones, planes = maze(), of_text(results["cones"]), of_text(results["planes"])
+    # Three squares; the first has a color bar to its right. All sizes are in inches.
+    width, height, side, bottom = 9.75, 3.4, 2.85, 0.25
+    figure = Figure(figsize=(width, height), dpi=190, facecolor="white")
+    lefts = (0.06, 3.88, 6.84)
+    squares = [(left / width, bottom / height, side / width, side / height) for left in lefts]
+    field, section, team = map(figure.add_axes, squares)
+    # 1. The field, a path, and the line of the section.
+    plot.plot_contours(cones, field, workspace=workspace, goal=exact.goal)
+    field.plot(*np.transpose(results["path"]), color="black", linewidth=3.4, zorder=3.5)
+    field.plot(*np.transpose(results["path"]), color="white", linewidth=1.8, zorder=3.6)
+    field.plot(*START, "o", color="white", markeredgecolor="black", zorder=5)
+    field.axvline(SECTION_X, color="black", linestyle=(0, (4, 3)), linewidth=1.1, zorder=2.8)
+    field.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    field.child_axes[0].set_ylabel("")  # of the color bar
+    field.set_title(f"Distance and path, {cones.num_bytes:,} bytes", fontsize=11)
+    # 2. Bounds along the line, with gaps at walls.
+    y = np.linspace(workspace.bounds.lo[1], workspace.bounds.hi[1], 2001)
+    points = np.column_stack([np.full_like(y, SECTION_X), y])
+    is_free = workspace.is_free(points)
+    lower, upper = (np.where(is_free, bound, np.nan) for bound in planes.numpy().bounds(points))
+    truth = np.where(is_free, exact(points), np.nan)
+    section.fill_between(y, lower, upper, color="#f2a65a", label="between proven bounds", linewidth=0)
+    section.plot(y, truth, color="black", linewidth=1.4, label="exact distance")
+    section.fill_between(y, 0, 1, where=~is_free, transform=section.get_xaxis_transform(), color="#ececec")
+    section.set(xlim=(0, 1), xticks=[0, 1], ylim=(0, None), yticks=[0, 1, 2])
+    section.set_xlabel("up the dashed line", fontsize=9.5, labelpad=-8)
+    section.set_ylabel("distance to the goal", fontsize=9.5)
+    section.tick_params(labelsize=9)
+    section.legend(loc="upper left", fontsize=9, framealpha=1, edgecolor="white")
+    proven = math.ceil(1e5 * (cones.max_error or 0.0)) / 1e5  # rounded up
+    words = f"Of the file at left:\ndistance ± {proven:g}"
+    section.text(0.96, 0.06, words, transform=section.transAxes, ha="right", fontsize=9, backgroundcolor="white")
+    section.set_title(f"Proven bounds, {planes.num_bytes} bytes", fontsize=11)
+    # 3. The team in the middle of its film.
+    plot.plot_path(SCENES[TEAM](), results["team"]["path"], team, end=MOMENT, num_poses=6)
+    team.set(xticks=[], yticks=[], xlabel="", ylabel="")
+    team.set_title("A moment of a team's film", fontsize=11)
+    figure.savefig(path := output / "overview.png")
+    return [path]
+
+
 SECTIONS = {
     "surface": Section(surface, draw_surface),
     "error_maps": Section(error_maps, draw_error_maps),
     "paths": Section(paths, draw_paths),
+    "overview": Section(overview, draw_overview),
 }
 
 if __name__ == "__main__":

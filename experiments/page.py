@@ -10,10 +10,9 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from experiments import portable
-from experiments._browser import IS_DRAWN, IS_OPEN, Browser, axe_core, chromium
+from experiments._browser import IS_DRAWN, IS_OPEN, Browser, axe_core
 from experiments._js_modules import NodeModule
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
@@ -22,7 +21,6 @@ from plr_jax import PLR, Box, PairPLR, VisibilityGraph, construct, construct_pai
 NUM_POINTS, CHUNK, NUM_FILES = 1_000_000, 100_000, 2_000
 PAIR_BYTES, CONE_BYTES = {"maze": 1_024, "arena": 16_384}, 1_024
 _WIDER = 1.1  # than the domain, points are drawn from
-_PICTURE = (480, 625)
 _TESTS = Path(__file__).parent.parent / "tests"
 
 
@@ -162,21 +160,6 @@ def _violations(browser: Browser) -> list[str] | None:
     return sorted(found)
 
 
-def picture(results: dict[str, Any], output: Path) -> list[Path]:
-    """The page of the maze; none where there is no browser."""
-    if chromium() is None:
-        return []
-    path = output / "page.png"
-    with tempfile.TemporaryDirectory() as folder, Browser(*_PICTURE) as browser:
-        plot.page(_cones(), scenes.maze().workspace).save(page := Path(folder) / "page.html")
-        browser.open(page, IS_OPEN)
-        browser.run("document.body.style.overflow = 'hidden'; startSwarm([0.6, 0.85]); play(false); advance(1.2); 0")
-        browser.picture(path)
-    with Image.open(path) as image:
-        image.convert("RGB").save(path, optimize=True)
-    return [path]
-
-
 # Damaged files, dropped on a page: half of what is mutated is cones, a quarter pairs. Checksums are made right again.
 
 
@@ -214,7 +197,7 @@ def hostile(seed: int, smoke: bool) -> dict[str, Any]:
     }
 
 
-SECTIONS = {"bits": Section(bits), "pages": Section(pages, picture), "hostile": Section(hostile)}
+SECTIONS = {"bits": Section(bits), "pages": Section(pages), "hostile": Section(hostile)}
 
 if __name__ == "__main__":
     run("page", __doc__, SECTIONS)

@@ -86,8 +86,7 @@ def require_valid(where: str, results: Any) -> None:
 # Of each table what renders it, and the results that it is made of: a file, or a section of one.
 TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "leaves": (distances.leaves, "portable.leaves"),
-    "speed": (distances.speed, "benchmark.query"),
-    "rivals": (distances.rivals, "benchmark.accuracy"),
+    "rivals": (distances.rivals, "benchmark.accuracy", "benchmark.query"),
     "planning": (uses.planning, "table2", "race"),
     "overview": (*(winners.overview, "benchmark", "compare_summaries", "costs", "living", "grid_distance", "race"),),
     "paper_goal": (paper.one_goal, "paper_query"),

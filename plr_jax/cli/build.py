@@ -2,6 +2,7 @@
 
 import time
 import warnings
+from decimal import ROUND_CEILING, Context
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,8 +12,8 @@ import plr_jax
 from plr_jax.cli.app import command, fail_interrupted, warn
 from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, oracle_of, parse_goals
 
-_ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000  # random free points at which the error is measured
+_ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _GOAL_OPTION = typer.Option("--goal", "-g", metavar="X,Y", show_default="the goal of a scene of one robot")
 
 
@@ -20,6 +21,15 @@ def _kinds_of_leaves() -> list[str]:
     from plr_jax.plr.leaves import leaf_names
 
     return ["best", *leaf_names()]
+
+
+def measure_error(plr: Any, oracle: Any, workspace: Any) -> tuple[Any, str]:
+    """Return the error of a PLR at random free points, an ``ErrorReport``, and the words in which commands report it.
+
+    The points have another seed than the samples to which leaves are fitted.
+    """
+    report = plr_jax.metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
+    return report, f"max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points"
 
 
 def _map_option(default: str) -> Any:
@@ -131,16 +141,17 @@ def build(
     for warning in caught:
         warn(str(warning.message))
 
-    # 3. Report the proven error, and the error at points of another seed than the samples to which leaves are fitted.
+    # 3. Report the proven error, rounded up, and the measured one.
     typer.echo(f"wrote   {output}: {content.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
-    report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
+    report, measured = measure_error(plr.numpy(), oracle, workspace)
     proven = plr.max_error
     assert proven is not None
-    typer.echo(f"leaf    {plr.leaf.name}: no error above {proven:.3g}, proven")
+    rounded = float(Context(prec=3, rounding=ROUND_CEILING).create_decimal_from_float(proven))
+    typer.echo(f"leaf    {plr.leaf.name}: no error above {rounded:g}, proven")
     limited = proven if plr.leaf.splits_by_proven_error else report.max
     if tolerance is not None and limited > _ROUNDED * tolerance:
         typer.echo(f"        --tolerance {tolerance:g} was not reached")
-    typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
+    typer.echo(f"error   {measured}")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")
     if radius:

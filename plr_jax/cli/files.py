@@ -16,6 +16,7 @@ import plr_jax
 from plr_jax._arrays import format_numbers
 from plr_jax._files import errors_named, write_atomically
 from plr_jax.cli.app import command, printable
+from plr_jax.cli.build import measure_error
 from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file, read_points
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE")]
@@ -147,8 +148,9 @@ def plot(
     elif workspace is None or goals is None:
         raise ValueError(f"{file} does not name its map and goal: use plr_jax.plot.plot_error.")
     else:
-        error = plr_jax.metrics.error_grid(plr, oracle_of(workspace, goals), workspace)
-        ax = plr_jax.plot.plot_error(error, workspace)
+        oracle = oracle_of(workspace, goals)
+        ax = plr_jax.plot.plot_error(plr_jax.metrics.error_grid(plr, oracle, workspace), workspace)
+        ax.title.set_text(measure_error(plr.numpy(), oracle, workspace)[1])  # the numbers that `build` prints
     plr_jax.plot.save(ax, output)
     typer.echo(f"wrote {output}")
 
@@ -248,7 +250,7 @@ def view(
 
 @command("plr-jax demo --output pictures")
 def demo(output: OutputOption = Path("plr_jax_demo")) -> None:
-    """Compress a maze, compare it with the exact distance, and draw it; plan for four robots.
+    """Compress the distance in a maze to 1 KB, compare it with the exact one, and draw it; plan for four robots.
 
     Args:
         output: Folder to write to.

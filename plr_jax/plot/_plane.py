@@ -252,7 +252,7 @@ def plot_error(
     # 3. Cover obstacles, and label.
     _add_obstacles(workspace, ax)
     _axes.add_colorbar(ax, image, f"error $|L - V|$ ({unit})", extend="both" if finite.max() > largest else "min")
-    ax.set_title(f"max {finite.max():.2g}, mean {finite.mean():.2g}", fontsize=_axes.FONT_SIZE, color=_axes.INK)
+    ax.set_title(f"max {finite.max():.3g}, mean {finite.mean():.3g}", fontsize=_axes.FONT_SIZE, color=_axes.INK)
     return ax
 
 

@@ -10,6 +10,11 @@ for (let i = 0; i < 256; i++) {
     palette[i] = new Uint32Array(new Uint8Array([r, g, b, 255]).buffer)[0];
 }
 const text = (number, digits = 4) => number === Infinity ? "infinite" : Number.isNaN(number) ? "not a number" : String(Number(number.toPrecision(digits)));
+// Round a bound so that it still holds: lower bounds (side -1) down, upper bounds (side 1) up.
+function boundText(number, side, digits) {
+    const near = Number(number.toPrecision(digits)), step = 10 ** (Math.floor(Math.log10(Math.abs(number))) + 1 - digits);
+    return text(side * near < side * number ? near + side * step : near, digits);
+}
 const pointText = ([x, y]) => `(${text(x - opened.shift[0])}, ${text(y - opened.shift[1])})`;
 const between = (a, b, share) => a + share * (b - a);
 const apart = (a, b) => Math.hypot(b[0] - a[0], b[1] - a[1]);
@@ -207,7 +212,9 @@ function drawField() {
     values = opened.isOfPairs ? fieldOfPairs(shown()) : fieldOfPLR(shown());
     const { columns, rows } = view, context = byId("field").getContext("2d"), image = context.createImageData(columns, rows);
     const colors = new Uint32Array(image.data.buffer);
-    if (!largest || opened.isOfPairs && view.sights.corners.length < shown().corners) largest = values.reduce((most, value) => value < Infinity && value > most ? value : most, 0) || 1;
+    const before = largest; // the scale only grows, so that colors change little while an end is dragged
+    largest = values.reduce((most, value) => value < Infinity && value > most ? value : most, largest) || 1;
+    if (largest !== before) drawLegend();
     const step = niceStep(largest / 14), times = 255 / largest, isContoured = byId("contoured").checked;
     for (let j = 0, pixel = 0; j < rows; j++) for (let i = 0; i < columns; i++, pixel++) {
         const value = values[pixel];
@@ -225,9 +232,10 @@ function drawField() {
 function drawLegend() {
     byId("colors").style.background = `linear-gradient(to right, ${COLORS.map(rgb => `rgb(${rgb})`).join(", ")})`;
     const step = niceStep(largest / 14);
-    byId("colors").setAttribute("aria-label", `Colors from dark violet at distance 0 through green to yellow at ${text(largest)} ${UNIT}`);
-    byId("ticks").replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map(share => Object.assign(document.createElement("span"), { textContent: text(share * largest) })));
-    byId("ticks").lastChild.textContent += ` ${UNIT}`;
+    byId("colors").setAttribute("aria-label", `Colors from dark violet at distance 0 through green to yellow at ${boundText(largest, 1, 4)} ${UNIT}`);
+    const spacing = niceStep(largest / 5), ticks = [largest]; // the end, and multiples that leave room for its label
+    for (let k = 0; k * spacing < 0.9 * largest; k++) ticks.push(k * spacing);
+    byId("ticks").replaceChildren(...ticks.map(at => Object.assign(document.createElement("span"), { textContent: at === largest ? boundText(at, 1, 4) : text(at), style: `left: ${100 * at / largest}%` })));
     byId("contoured").parentElement.lastChild.textContent = ` Contours, ${text(step)} apart`;
 }
 
@@ -247,11 +255,12 @@ function drawCells() {
 function ask() {
     const { distance, bounds, route } = shown(), ends = opened.isOfPairs ? [start, goal] : [start];
     const found = distance(...ends), path = Number.isFinite(found) && !isWall(start) ? route(...ends) : null;
+    if (found < Infinity && found > largest && !isWall(start)) { largest = found; drawField(); } // a point beyond the centers of pixels
     let says = `From ${pointText(start)} to ${opened.isOfPairs || shown().goal && !opened.isFloor ? pointText(goal) : "the goal"}: `;
     says += found === Infinity ? "no path is known." : `${text(found)} ${UNIT}.`;
     if (bounds && found < Infinity) {
         const [lower, upper] = bounds(...ends);
-        says += upper < Infinity ? ` Proven to be between ${text(lower, 7)} and ${text(upper, 7)}, if this point is free.` : ` Proven to be at least ${text(lower, 7)}.`;
+        says += upper < Infinity ? ` Proven to be between ${boundText(lower, -1, 7)} and ${boundText(upper, 1, 7)}, if this point is free.` : ` Proven to be at least ${boundText(lower, -1, 7)}.`;
     }
     if (isWall(start)) says += " This point is inside a wall, where the distance is meaningless.";
     else if (path && shown().isSourced === false) {
@@ -270,7 +279,7 @@ function ask() {
 }
 
 function describe() {
-    const { kind, size, error } = shown(), proof = error === undefined || error === null ? "without a proven error bound" : error < Infinity ? `error at most ${text(error)}, proven` : "with proven lower bounds only";
+    const { kind, size, error } = shown(), proof = error === undefined || error === null ? "without a proven error bound" : error < Infinity ? `error at most ${boundText(error, 1, 3)}, proven` : "with proven lower bounds only";
     byId("title").textContent = opened.title;
     byId("facts").textContent = `${size.toLocaleString("en")} bytes; ${kind}; ${opened.isOfPairs ? "exact up to rounding, with proven bounds" : proof}. ${opened.isOfPairs ? "The distance between any two points" : "The distance to the goal"}, around walls, in ${UNIT}.`;
     byId("stage").classList.toggle("draggable", Boolean(opened.isOfPairs));
@@ -278,7 +287,7 @@ function describe() {
         ? "Drag either end; click elsewhere to start a swarm there. Keys: arrows move the start, Shift and arrows the goal; Enter starts a swarm."
         : "Move the pointer to query a point; click to start a swarm there. Keys: arrows move the point; Enter starts a swarm.";
     const { lo, hi } = opened, lattice = [0.1, 0.3, 0.5, 0.7, 0.9], rows = lattice.slice().reverse();
-    byId("words").textContent = `The map reaches from ${pointText(lo)} to ${pointText(hi)}. Distances reach ${text(largest)} ${UNIT}. The goal is at ${pointText(goal)}. Rows of the table go from the top of the map to the bottom.`;
+    byId("words").textContent = `The map reaches from ${pointText(lo)} to ${pointText(hi)}. Distances reach ${boundText(largest, 1, 4)} ${UNIT}. The goal is at ${pointText(goal)}. Rows of the table go from the top of the map to the bottom.`;
     const cell = (kind, content) => Object.assign(document.createElement(kind), { textContent: content });
     const line = cells => { const row = document.createElement("tr"); row.append(...cells); return row; };
     const at = (axis, share) => between(lo[axis], hi[axis], share);
@@ -293,12 +302,12 @@ function lowest() {
     const at = values.reduce((best, value, pixel) => value < values[best] ? pixel : best, 0);
     return [between(view.lo[0], view.hi[0], (at % view.columns + 0.5) / view.columns), between(view.hi[1], view.lo[1], (Math.floor(at / view.columns) + 0.5) / view.rows)];
 }
-// Return a free point near a relative position in the map.
-function freeNear(shares) {
-    const at = shares.map((share, axis) => between(opened.lo[axis], opened.hi[axis], share));
-    for (let radius = 0; radius < 1; radius += 0.02) for (let turn = 0; turn < 16; turn++) {
-        const place = at.map((along, axis) => along + radius * view.width * (axis ? Math.sin(turn * Math.PI / 8) : Math.cos(turn * Math.PI / 8)));
-        if (place.every((along, axis) => along > opened.lo[axis] && along < opened.hi[axis]) && !isWall(place)) return place;
+// Return a point near a relative position in the map from which the goal, if one is given, can be reached: away from walls, or at least free.
+function freeNear(shares, to) {
+    const around = ([x, y], radius) => Array.from({ length: 16 }, (_, k) => [x + radius * view.width * Math.cos(k * Math.PI / 8), y + radius * view.width * Math.sin(k * Math.PI / 8)]);
+    const isFree = place => isInView(place) && !isWall(place), at = shares.map((share, axis) => between(opened.lo[axis], opened.hi[axis], share));
+    for (const clearance of [0.04, 0.02, 0.01, 0]) for (let radius = 0; radius < 1; radius += 0.02) for (const place of around(at, radius)) {
+        if (isFree(place) && around(place, clearance).every(isFree) && !(to && shown().distance(...to(place)) === Infinity)) return place;
     }
     return at;
 }
@@ -312,7 +321,7 @@ function show(content) {
         if (content.isOfPairs) goal = freeNear([0.08, 0.08]);
         if (content.isOfPairs) addSights(); else drawField();
         if (!content.isOfPairs) goal = !opened.isFloor && shown().goal || lowest();
-        start = freeNear([0.93, 0.93]);
+        start = freeNear([0.93, 0.93], place => content.isOfPairs ? [place, goal] : [place]);
     } catch (error) {
         [opened, view] = before;
         throw error;

@@ -42,7 +42,7 @@ function show(time) {
     robot.trail.setAttribute("stroke-dasharray", `${length.toFixed(2)} ${(gone[i][times.length - 1] + 1).toFixed(2)}`);
   });
   byId("time").value = time;
-  byId("clock").value = `${(time * duration).toPrecision(3)} of ${duration.toPrecision(3)}`;
+  byId("clock").value = `time ${(time * duration).toPrecision(3)} of ${duration.toPrecision(3)}`;
 }
 
 let clock = 0; // seconds of playback, including the pause at the end

@@ -1,5 +1,6 @@
 import json
 from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -48,6 +49,7 @@ def drawn(monkeypatch):
         goal = goal if kind != "error" else shown.goal  # an oracle is recorded in place of its errors
         num_obstacles = 0 if workspace is None else len(workspace.obstacles)
         drawings.append((kind, num_obstacles, None if goal is None else goal.ravel().tolist()))
+        return Mock()  # axes
 
     monkeypatch.setattr("plr_jax.metrics.error_grid", lambda plr, oracle, workspace: oracle)
     for name, kind in (("contours", "distance"), ("cells", "cells"), ("error", "error")):

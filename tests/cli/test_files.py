@@ -72,6 +72,15 @@ def test_pairs_are_plotted_and_exported(pairs, drawn, tmp_path):
     assert (tmp_path / "grid.tables").read_bytes() == header.table
 
 
+@pytest.mark.full
+def test_error_picture_has_the_numbers_of_build(tmp_path, monkeypatch):
+    axes = []
+    monkeypatch.setattr("plr_jax.plot.save", lambda ax, path: axes.append(ax))
+    printed = done("build", "maze", "-o", tmp_path / "a.plr", "--max-bytes", 400, "--leaf", "cone")
+    done("plot", tmp_path / "a.plr", "--kind", "error", "-o", tmp_path / "a.png")
+    assert f"error   {axes[0].get_title()}\n" in printed and "max" in axes[0].get_title()
+
+
 def test_view_writes_a_page(maze, pairs, tmp_path):
     page = tmp_path / "a.html"
     assert "open it in a browser" in done("view", maze, "maze", "-o", page)
@@ -148,7 +157,7 @@ def test_demo_writes_and_prints_all_files(tmp_path, monkeypatch):
         monkeypatch.setattr(f"plr_jax.cli.demo.{name}", value)
     printed = done("demo", "--output", tmp_path / "new" / "folder")
     files = ["maze.plr", "maze.html", "four_rooms.html", "four_rooms.gif", "four_rooms_distances.html"]
-    files += [f"maze_{kind}.png" for kind in ("distance", "cells", "error", "surface")]
+    files += [f"maze_{kind}.png" for kind in ("distance", "cells", "error")]
     for name in files:
         path = tmp_path / "new" / "folder" / name
         assert path.stat().st_size > 0 and str(path) in printed

@@ -10,6 +10,7 @@ from hostile_files import hostile
 from hostile_readers import READERS, Reader
 from pair_helpers import serpentine
 from PIL import Image
+from shapely import Point
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
 from plr_jax import PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
@@ -147,16 +148,30 @@ def test_click_starts_swarm_that_arrives(functions, browser, tmp_path):
         assert not browser.run("playing")
 
 
+@pytest.mark.parametrize("problem", [PROBLEM, scenes.four_rooms(4)])
+def test_ends_of_pairs_are_free_and_apart_at_first(problem, browser, tmp_path):
+    workspace = problem.workspace
+    opened(browser, plot.page(construct_pairs(workspace, max_bytes=2000)), tmp_path)
+    ends = numbers(browser, "[start, goal]").reshape(2, 2)
+    width, boundary = workspace.bounds.width.max(), workspace.free_space.boundary
+    assert workspace.is_free(ends).all() and min(boundary.distance(Point(end)) for end in ends) > 0.03 * width
+    assert np.linalg.norm(ends[0] - ends[1]) > 0.8 * width
+    assert shown_distance(browser) <= float(browser.run('byId("ticks").firstChild.textContent'))
+
+
 def test_both_ends_of_pairs_can_be_dragged(functions, browser, tmp_path):
     opened(browser, page_of(functions["pairs"]), tmp_path)
     box = stage_of(browser)
-    for end, to in (("start", (0.9, 0.6)), ("goal", (0.1, 0.6))):
+    for end, to in (("start", (0.9, 0.6)), ("goal", (0.1, 0.6)), ("start", (1, 0.48)), ("goal", (0, 0))):
         x, y = numbers(browser, end)
         browser.mouse("mousePressed", box[0] + x * box[2], box[1] + (1 - y) * box[3])
         browser.mouse("mouseMoved", box[0] + to[0] * box[2], box[1] + (1 - to[1]) * box[3])
         browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         browser.mouse("mouseReleased", box[0] + to[0] * box[2], box[1] + (1 - to[1]) * box[3])
         np.testing.assert_allclose(numbers(browser, end), to, atol=2e-3)
+        farthest = float(browser.run('byId("ticks").firstChild.textContent'))  # the end of the scale
+        most = browser.run("values.reduce((most, value) => value < Infinity ? Math.max(most, value) : most, 0)")
+        assert farthest >= shown_distance(browser) and farthest >= most
     distance = functions["pairs"].numpy()(numbers(browser, "start"), numbers(browser, "goal"))
     assert shown_distance(browser) == pytest.approx(float(distance), rel=1e-3)
     # Pixels that are not beside walls have the values of the reader.
