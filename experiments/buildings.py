@@ -35,7 +35,8 @@ from matplotlib.figure import Figure
 from experiments._c_headers import compiled_library, median_seconds
 from experiments._measures import timed
 from experiments._runner import Section, run
-from plr_jax import Building, BuildingPLR, Link, construct_pairs, scenes
+from plr_jax import Building, Link, construct_pairs, scenes
+from plr_jax.buildings import BuildingPLR
 
 BUDGETS, PAIR_BYTES = (12_288, 24_576, 32_768), 262_144
 SEARCH_ERROR = 1e-9  # meters: a larger difference to the independent search counts as wrong

@@ -24,7 +24,8 @@ from scipy.interpolate import RegularGridInterpolator
 from experiments._c_headers import median_seconds
 from experiments._measures import relative_error, timed
 from experiments._runner import Section, run
-from plr_jax import CostMap, LipschitzCost, PlaneSpace, RasterCost, Workspace, solve_eikonal
+from plr_jax import PlaneSpace, RasterCost, Workspace, solve_eikonal
+from plr_jax.spaces import CostMap, LipschitzCost
 
 BOUNDS = ((0.0, 0.0), (2.0, 1.0))
 GOAL = np.array([0.2, 0.2])

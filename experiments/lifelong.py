@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments._runner import Section, run
-from plr_jax import LifelongRun, Problem, Solution, bl_plan, lifelong, scenes, validate
+from plr_jax import Problem, Solution, bl_plan, lifelong, scenes, validate
+from plr_jax.planners import LifelongRun
 
 GOALS, OF_NOTHING = 500, 100
 _CLEAR = 0.05  # of a goal, from walls and from other goals

@@ -25,8 +25,9 @@ from experiments._c_headers import compiled_header, object_for_size, section_byt
 from experiments._nearest_vertex import NearestVertex
 from experiments._runner import run
 from experiments.table1 import POINT_SEED
-from plr_jax import PLR, NumpyPLR, Roadmap, VisibilityGraph, construct, construct_pairs, scenes
+from plr_jax import PLR, Roadmap, VisibilityGraph, construct, construct_pairs, scenes
 from plr_jax.geometry.graph import dijkstra
+from plr_jax.plr import NumpyPLR
 
 PROBLEM = scenes.maze()
 WORKSPACE, GOAL = PROBLEM.workspace, PROBLEM.goals[0]

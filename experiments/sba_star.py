@@ -25,8 +25,9 @@ from tqdm import tqdm
 from experiments._measures import columns
 from experiments._planning import HEURISTICS, PLR_BYTES, SCENES, SMOKE_BYTES, build
 from experiments._runner import run
-from plr_jax import HeuristicFn, Problem, exact_lower_bound, path_cost, validate
+from plr_jax import HeuristicFn, Problem, exact_lower_bound, validate
 from plr_jax.collision.motions import JointMotionTest
+from plr_jax.metrics import path_cost
 
 NAMES = ("single door", "four rooms 2", "cross 2")
 NUM_SEEDS = 20

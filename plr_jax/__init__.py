@@ -33,8 +33,15 @@ plr_jax.save(plr, "field.plr")
 - `plr_jax.guides.command_line`: the command `plr-jax`.
 
 `plr_jax.guides` itself lists, for each class whose objects are called like functions, the arguments and the result.
-`metrics` measures errors, `plot` draws, and `scenes` has ready-made maps and functions that read map files. `plr` has
-more classes and functions for PLRs, `pairs` for distances between any two points.
+Modules hold the names that fewer programs need:
+
+- `plr_jax.buildings`, `plr_jax.pairs`, `plr_jax.traced`: classes of results, such as routes and prepared goals.
+- `plr_jax.metrics`: errors of PLRs; costs and durations of paths.
+- `plr_jax.planners`: statistics of the team planner.
+- `plr_jax.plot`: pictures, animations and web pages.
+- `plr_jax.plr`: rules of construction, leaf models, and classes of PLRs.
+- `plr_jax.scenes`: ready-made maps, and functions that read map files.
+- `plr_jax.spaces`: interfaces for spaces and costs of your own.
 
 # Which axis is which
 
@@ -53,7 +60,29 @@ A name of this package is imported when it is first used. So loading and queryin
 Matplotlib.
 """
 
+import warnings
+from typing import Any
+
 import lazy_loader
 
 __version__ = "0.2.0"
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names are listed in __init__.pyi
+_import_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names are listed in __init__.pyi
+# Names that were in `plr_jax` in release 0.2, by the module that has them now. Release 0.4 removes this table.
+_MOVED = {
+    "metrics": "makespan path_cost",
+    "pairs": "MetricPairs",
+    "planners": "LifelongRun Stats",
+    "plr": """CellFit NumpyPLR PLRStack Traces best_axis center_error cyclic_axis largest_error least_squares
+        maximum_depth""",
+    "spaces": """CellState ConfigurationSpace CostMap DirectionalCost FreeTest LipschitzCost MotionCost SeesBoxes""",
+    "traced": "GridDistances",
+}
+_SUCCESSORS = {name: module for module, names in _MOVED.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _SUCCESSORS:
+        return _import_public(name)
+    module = _SUCCESSORS[name]
+    warnings.warn(f"plr_jax.{name} is now plr_jax.{module}.{name}.", DeprecationWarning, stacklevel=2)
+    return getattr(_import_public(module), name)

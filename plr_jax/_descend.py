@@ -20,7 +20,8 @@ from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, fi
 from plr_jax.geometry.graph import Arcs, Graph, dijkstra, first_visible_in_parts, path_ends
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace, require_space
+from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace
+from plr_jax.spaces._space import require_space
 
 
 class DescentStatus(enum.StrEnum):

@@ -20,7 +20,8 @@ from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, pa
 from plr_jax._types import ArrayLike, Numbers
 from plr_jax.geometry.graph import first_visible_in_parts
 from plr_jax.plr.sampling import lattice
-from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_costs, pulled
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost
+from plr_jax.spaces._costs import cost_bounds, motion_costs, pulled
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Nodes: TypeAlias = Float[np.ndarray, "_ dim"]  # configurations on paths; arrays may have different lengths

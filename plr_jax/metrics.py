@@ -1,4 +1,8 @@
-"""Errors of an approximate distance function, measured against the exact one."""
+"""Measure errors of an approximate distance function, and costs and durations of paths.
+
+`error_map` compares an approximation with the exact function at given points, `error_grid` on a grid of points.
+`path_cost` and `makespan` take a problem and a path of its robots.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,14 +12,19 @@ import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_distances, as_points, as_values
+from plr_jax._problem import makespan, path_cost
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Slice
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces import FreeTest
 
-__all__ = ["ErrorReport", "error_grid", "error_map"]
+__all__ = ["ErrorReport", "error_grid", "error_map", "makespan", "path_cost"]
 _QUANTILES = (0.5, 0.9, 0.99, 0.999)
 _DIGITS = 4  # digits of a printed position, relative to the largest distance
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from building_helpers import BruteForce, Field, points_of, random_building, random_goals
 
-from plr_jax import BuildingPLR, Route, construct_pairs
+from plr_jax import construct_pairs
+from plr_jax.buildings import BuildingPLR, Route
 
 _OF_FILE = 1e-5  # of the plane's width: errors of points in files and of pairs
 

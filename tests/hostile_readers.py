@@ -186,6 +186,23 @@ def _plr_of_building_files() -> list[bytes]:
     return [two_floors().oracle(*GOAL).construct(max_bytes=500, certified=True).to_bytes()]
 
 
+def _grid_pairs_files() -> list[bytes]:
+    free = np.random.default_rng(0).random((20, 30)) < 0.8
+    graphs = [plr_jax.GridGraph(free, connectivity=connectivity) for connectivity in (4, 8)]
+    return [plr_jax.construct_grid_pairs(graph).to_bytes() for graph in graphs]
+
+
+def _with_size_and_checksum(data: bytes) -> bytes:
+    """Repair the size in the header and the checksum of a file of a grid."""
+    size = 18  # bytes of the header, which ends with the size of the file
+    data = data[: size - _CRC.size] + _CRC.pack(len(data)) + data[size : -_CRC.size]
+    return data + _CRC.pack(zlib.crc32(data))
+
+
+def _pairs_of_building_files() -> list[bytes]:
+    return [plr_jax.construct_pairs(two_floors(), max_bytes=600).to_bytes()]
+
+
 def _with_inner_checksum(data: bytes) -> bytes:
     start = data.find(MAGIC)
     return data if start < 0 else data[:start] + _with_checksum(data[start:])
@@ -208,5 +225,7 @@ READERS = {
     "NumPy": Reader(plr_jax.load_numpy, ".plr", _plr_files, _with_checksum),
     "building": Reader(scenes.read_building, ".json", _building_files),
     "PLR of a building": Reader(plr_jax.load, ".building", _plr_of_building_files, _with_inner_checksum),
+    "pairs of a building": Reader(plr_jax.load, ".building", _pairs_of_building_files, _with_inner_checksum),
+    "pairs of a grid": Reader(plr_jax.load, ".grid", _grid_pairs_files, _with_size_and_checksum),
     "pairs": Reader(plr_jax.load, ".plr", _pairs_files, _with_checksum),
 }

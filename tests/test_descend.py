@@ -9,10 +9,11 @@ from descent_helpers import descended
 from piece_helpers import SEEDS, TEN, box
 from space_helpers import far_from, nothing_known
 
-from plr_jax import LipschitzCost, NearestGoal, PlaneSpace, VisibilityGraph, Workspace, construct, descend, scenes
+from plr_jax import NearestGoal, PlaneSpace, VisibilityGraph, Workspace, construct, descend, scenes
 from plr_jax._descend import DescentStatus
 from plr_jax.geometry.corners import find_corners
-from plr_jax.spaces import CheckedFreeTest
+from plr_jax.spaces import LipschitzCost
+from plr_jax.spaces._space import CheckedFreeTest
 
 REACHED, STUCK, NOT_FREE = DescentStatus
 UNDEFINED_COST = LipschitzCost(lambda q: q[:, 0] * math.nan, lipschitz=1.0, least=1.0)

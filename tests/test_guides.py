@@ -12,6 +12,7 @@ from page_helpers import SLOW, SMALLER, blocks, run_page
 import plr_jax
 from plr_jax import guides
 
+PUBLIC_MODULES = [plr_jax, *filter(inspect.ismodule, (getattr(plr_jax, name) for name in plr_jax.__all__))]
 PAGES = {name: getattr(guides, name).__doc__ for name in guides.__all__}
 README = (Path(__file__).parent.parent / "README.md").read_text()
 MAX_LINES = 120
@@ -41,10 +42,11 @@ def test_every_name_in_a_guide_exists():
 
 
 def test_index_lists_every_callable_class():
-    classes = {name: public for name in plr_jax.__all__ if inspect.isclass(public := getattr(plr_jax, name))}
+    public = {name: getattr(module, name) for module in PUBLIC_MODULES for name in module.__all__}
+    classes = {name: value for name, value in public.items() if inspect.isclass(value)}
     called = {name for name, each in classes.items() if any("__call__" in vars(base) for base in each.__mro__)}
     rows = re.findall(r"^\| (`plr_jax.*?) \|", guides.__doc__, re.MULTILINE)
-    assert called == set(re.findall(r"plr_jax\.(\w+)", "".join(rows)))
+    assert called == set(re.findall(r"plr_jax\.(?:\w+\.)?(\w+)`", "".join(rows)))
 
 
 def test_slow_statements_are_on_a_page():

@@ -3,17 +3,36 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from page_helpers import run_page
+from shape_checks import IS_ON
 
 import plr_jax
 
+MODULES = [plr_jax, *filter(inspect.ismodule, (getattr(plr_jax, name) for name in plr_jax.__all__))]
+LIST = Path(__file__).parent / "public_names.txt"
+DEPRECATED = list(plr_jax._SUCCESSORS.items())
 
-def test_public_names_and_members_have_docstrings():
-    for name in plr_jax.__all__:
-        public = getattr(plr_jax, name)
+
+def test_public_names_are_those_of_the_list():
+    """To add or remove a public name, change the list too, and say so in the changelog."""
+    found = [f"{module.__name__}.{name}" for module in MODULES for name in sorted(module.__all__)]
+    assert LIST.read_text().split() == found
+
+
+@pytest.mark.parametrize(("name", "module"), DEPRECATED)
+def test_deprecated_name_warns_and_gives_the_object(name, module):
+    with pytest.warns(DeprecationWarning, match=rf"plr_jax\.{name} is now plr_jax\.{module}\.{name}\.") as caught:
+        found = getattr(plr_jax, name)
+    assert found is getattr(getattr(plr_jax, module), name) and name not in plr_jax.__all__
+    assert IS_ON or caught[0].filename == __file__  # checks of shapes wrap functions, so callers are one level higher
+
+
+@pytest.mark.parametrize("public_module", MODULES, ids=lambda module: module.__name__)
+def test_public_names_and_members_have_docstrings(public_module):
+    for name in public_module.__all__:
+        public = getattr(public_module, name)
         members = vars(public) if inspect.isclass(public) else {}
         named = {f"{name}.{each}": getattr(public, each) for each in members if not each.startswith(("_", "tree_"))}
         for dotted, value in {name: public, **named}.items():
@@ -37,12 +56,10 @@ def test_type_information_is_installed():
     assert (folder / "__init__.pyi").exists() and (folder / "py.typed").exists()
 
 
-@pytest.mark.parametrize("package", [plr_jax, plr_jax.plot, plr_jax.plr, plr_jax.scenes], ids=lambda p: p.__name__)
-def test_packages_list_their_public_names(package):
-    assert all(getattr(package, name) is not None for name in package.__all__)
-    assert set(package.__all__) <= set(dir(package))
-    loaded = {name for name, value in vars(package).items() if name[0] != "_" and not isinstance(value, ModuleType)}
-    assert loaded <= set(package.__all__)
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
+def test_modules_show_only_their_public_names(module):
+    assert module.__doc__ and all(getattr(module, name) is not None for name in module.__all__)
+    assert sorted(dir(module)) == sorted(module.__all__)
 
 
 @pytest.mark.full

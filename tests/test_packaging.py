@@ -1,26 +1,54 @@
-"""The release: distributions that are complete, with metadata that package indexes accept."""
+"""The release: distributions that are complete and work alone, with metadata that package indexes accept."""
 
+import os
 import re
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
+from page_helpers import blocks
 
 import plr_jax
 
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.mark.full
-def test_distributions_build_and_pass_twine(tmp_path):
-    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
+@pytest.fixture(scope="module")
+def distributions(tmp_path_factory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("distributions")
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
-    names = sorted(path.name for path in tmp_path.iterdir())
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.full
+def test_distributions_build_and_pass_twine(distributions):
     version = plr_jax.__version__
-    assert names == [f"plr_jax-{version}-py3-none-any.whl", f"plr_jax-{version}.tar.gz"]
-    check = [sys.executable, "-m", "twine", "check", "--strict", *(str(tmp_path / name) for name in names)]
-    subprocess.run(check, check=True, capture_output=True)
+    assert [path.name for path in distributions] == [f"plr_jax-{version}-py3-none-any.whl", f"plr_jax-{version}.tar.gz"]
+    subprocess.run([sys.executable, "-m", "twine", "check", "--strict", *distributions], check=True, capture_output=True)
+    with tarfile.open(distributions[1]) as archive:
+        packed = {name.partition("/")[2] for name in archive.getnames()}
+    assert packed >= {path.name for path in ROOT.glob("[A-Z]*.*")} | {"LICENSE", "plr_jax/py.typed"}
+
+
+@pytest.mark.full
+def test_wheel_works_in_an_empty_environment(distributions, tmp_path):
+    """The first example of the README and the demo run where nothing but the wheel was installed (about 100 seconds)."""
+    scripts = tmp_path / "venv" / "bin"
+    environment = {"PATH": f"{scripts}:{os.environ['PATH']}", "HOME": str(tmp_path)}
+    wheel, _ = distributions
+    example = blocks((ROOT / "README.md").read_text(), "python")[0]
+    for command in (
+        [sys.executable, "-m", "venv", tmp_path / "venv"],
+        [scripts / "pip", "install", "--quiet", wheel],
+        [scripts / "python", "-c", f"{example}\nassert {str(tmp_path)!r} in plr_jax.__file__"],
+        [scripts / "plr-jax", "demo", "--output", "demo"],
+    ):
+        subprocess.run(command, check=True, capture_output=True, cwd=tmp_path, env=environment)
+    assert (tmp_path / "maze.plr").stat().st_size <= 1024
+    assert all(path.stat().st_size > 0 for path in (tmp_path / "demo").iterdir()) and (tmp_path / "demo/maze.plr").exists()
 
 
 def test_changelog_and_citation_have_the_version():

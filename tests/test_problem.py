@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from robot_helpers import AnyShape
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, makespan, path_cost
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace
 from plr_jax._problem import motion_costs, separation
+from plr_jax.metrics import makespan, path_cost
 from plr_jax.robots import footprint
 
 WALL = [(0.4, 0.0), (0.6, 0.0), (0.6, 0.8), (0.4, 0.8)]

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from PIL import Image
 from robot_helpers import PEBBLE, WING, AnyShape, sled
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, plot, scenes, validate
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, plot, scenes, validate
 from plr_jax.collision.motions import motions_apart
 from plr_jax.collision.walls import MotionTest
+from plr_jax.metrics import path_cost
 from plr_jax.planners import Stats, Status, bl_plan
 from plr_jax.planners._solution import make_solution
 from plr_jax.plot._paths import timeline

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.differentiating._common import compiled, least
-from plr_jax import VisibilityGraph, Workspace, polygon_distance, polygons_of_discs
+from plr_jax import VisibilityGraph, Workspace, polygon_distance
+from plr_jax.traced import polygons_of_discs
 
 OBSTACLES = (1, 2, 4)  # of 8 discs each
 CORNERS = 8  # of the polygon around a disc

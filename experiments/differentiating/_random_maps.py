@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 
-from plr_jax import polygons_of_discs
+from plr_jax.traced import polygons_of_discs
 
 KINDS = ("convex", "concave", "touching", "overlapping", "padded", "discs", "mixed")
 # Numbers of corners of a map, and the padded shapes (polygons, corners): each shape is one compiled program.

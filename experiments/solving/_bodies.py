@@ -23,7 +23,8 @@ from jaxtyping import Float
 
 from experiments._measures import relative_errors
 from experiments.solving._rivals import Sizes, all_neighbors, counted, even_sizes, grid_search, marched, prm_star
-from plr_jax import ConfigurationSpace, GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
+from plr_jax import GridField, PlanarArm, RigidBodySpace, Workspace, scenes, solve_eikonal
+from plr_jax.spaces import ConfigurationSpace
 
 CELLS = (50_000, 100_000)
 SAMPLES = (1_000, 3_000, 10_000, 30_000)

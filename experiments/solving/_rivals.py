@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float, Int, Int8
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax import Box, ConfigurationSpace, FreeTest, GridField, MotionCost, Roadmap, SeesBoxes
+from plr_jax import Box, GridField, Roadmap
 from plr_jax.geometry import graph as graphs
+from plr_jax.spaces import ConfigurationSpace, FreeTest, MotionCost, SeesBoxes
 
 
 @dataclass

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments.solving._rivals import marched
-from plr_jax import CostMap, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
+from plr_jax import PlaneSpace, Workspace, solve_eikonal
+from plr_jax.spaces import CostMap, LipschitzCost
 
 GOAL = np.array([0.13, 0.21])
 LIMITS: tuple[dict[str, Any], ...] = ({"max_leaves": 10_000}, {"max_bytes": 6_144})

@@ -1,5 +1,8 @@
 """Buildings: several floors joined by links such as stairs, lifts, and doors that open one way.
 
+A `Building` has floors and `Link`s. Its `BuildingOracle` computes exact distances and a `Route` from each place, and
+constructs a `BuildingPLR`. `load_numpy` reads the file of a `BuildingPLR` as a `NumpyBuildingPLR`.
+
 All floors lie side by side in one *plane* (``floors.py``), where links are arcs of the visibility graph. So what this
 package does in the plane, it does for buildings: exact distances (``building.py``), PLRs (``building_plr.py``).
 """

@@ -124,7 +124,7 @@ def build(
         raise ValueError(f"--max-bytes {max_bytes} is too small: allow at least {needed}.") from error
     seconds = time.perf_counter() - began
     plr = plr.with_label(label)
-    content = plr if of_building is None else plr_jax.BuildingPLR(of_building.floors, plr)
+    content = plr if of_building is None else plr_jax.buildings.BuildingPLR(of_building.floors, plr)
     plr_jax.save(content, output)
     if any(issubclass(warning.category, plr_jax.ConstructionInterrupted) for warning in caught):
         fail_interrupted(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.")

@@ -160,7 +160,7 @@ def _distance_of(content: Any, file: Path, goal: list[str] | None) -> Any:
     texts ``X,Y`` of the option ``--goal``. ``ValueError`` is raised if a goal is given for a PLR, or not exactly one
     goal for pairs.
     """
-    if isinstance(content, plr_jax.PLR | plr_jax.BuildingPLR):
+    if isinstance(content, plr_jax.PLR | plr_jax.buildings.BuildingPLR):
         if goal:
             raise ValueError(f"{file} is a PLR with a fixed goal: leave out --goal.")
         return content

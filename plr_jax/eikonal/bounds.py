@@ -23,7 +23,8 @@ from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, Numbers, SlopeProgram
 from plr_jax.plr.tree import PLACING, corner_bits
-from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, SeesBoxes
+from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
+from plr_jax.spaces._space import CheckedFreeTest
 
 _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
 # A warning tells if an estimate is outside of its bounds by more than

@@ -20,7 +20,8 @@ from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
 from plr_jax.geometry.graph import dijkstra, path_ends
 from plr_jax.plr.tree import corner_bits
-from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
+from plr_jax.spaces import CellState, ConfigurationSpace
+from plr_jax.spaces._costs import cost_bounds, pulled
 
 _MOST_ROUNDS = 24  # rounds of straightening
 _ENOUGH = 1e-4  # share of all costs that a round must save, else it is the last round

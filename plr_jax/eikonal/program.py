@@ -33,7 +33,8 @@ from scipy.sparse.linalg import cg, splu
 from plr_jax.eikonal.elements import FunctionSpace, function_space, to_bernstein
 from plr_jax.eikonal.goals import nearest_goals
 from plr_jax.eikonal.mesh import CellIndex, Mesh, with_open_contacts
-from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
+from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost
+from plr_jax.spaces._costs import cost_bounds, pulled
 
 Motions: TypeAlias = Float[np.ndarray, "n dim"]
 Numbers: TypeAlias = Float[np.ndarray, " n"]

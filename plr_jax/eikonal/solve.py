@@ -28,8 +28,9 @@ from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.growth import BudgetTooSmall, ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
 from plr_jax.plr.sizes import max_axis_depth
-from plr_jax.spaces import CellState, CheckedFreeTest, ConfigurationSpace, FreeTest, Separable, require_space
+from plr_jax.spaces import CellState, ConfigurationSpace, FreeTest
 from plr_jax.spaces._costs import CostMap, cost_bounds
+from plr_jax.spaces._space import CheckedFreeTest, Separable, require_space
 
 _MAX_CELLS = {1: 2_000, 2: 10_000}  # default of max_leaves with bounds, by the number of axes
 _MAX_CELLS_BEYOND = 50_000  # the same for more axes

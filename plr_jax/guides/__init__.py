@@ -18,28 +18,31 @@ In Python, `help(plr_jax.guides.teams)` shows a page. On each page, examples run
 # Classes that are called like functions
 
 Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All other
-classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except `plr_jax.NumpyPLR`.
+classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except classes in NumPy.
 
 | class | call | answer |
 | --- | --- | --- |
 | `plr_jax.PLR` | `plr(x)` | distance to the goal |
-| `plr_jax.TunablePLR` | `tunable(x)` | distance to the goal, by values that can be trained |
-| `plr_jax.NumpyPLR` | `f(x)` | distance to the goal, in NumPy |
-| `plr_jax.PLRStack` | `stack(index, x)` | distance to the goal of PLR number `index` |
-| `plr_jax.PairPLR`, `plr_jax.MetricPairs` | `pairs(x, y)` | distance between two points |
+| `plr_jax.plr.TunablePLR` | `tunable(x)` | distance to the goal, by values that can be trained |
+| `plr_jax.plr.NumpyPLR` | `f(x)` | distance to the goal, in NumPy |
+| `plr_jax.plr.PLRStack` | `stack(index, x)` | distance to the goal of PLR number `index` |
+| `plr_jax.PairPLR`, `plr_jax.pairs.MetricPairs` | `pairs(x, y)` | distance between two points |
 | `plr_jax.GridPairs` | `pairs(x, y)` | length of a shortest grid path between the cells of two points |
-| `plr_jax.BuildingPLR`, `plr_jax.NumpyBuildingPLR` | `plr(floor, x)` | distance to the nearest goal of a building |
-| `plr_jax.BuildingPairs` | `pairs((floor, x), (floor, y))` | distance between two places of a building |
+| `plr_jax.pairs.DistanceToCell` | `to_cell(x)` | length of a shortest grid path to one cell |
+| `plr_jax.buildings.BuildingPLR` | `plr(floor, x)` | distance to the nearest goal of a building |
+| `plr_jax.buildings.NumpyBuildingPLR` | `f(floor, x)` | distance to the nearest goal of a building, in NumPy |
+| `plr_jax.buildings.BuildingOracle` | `oracle(floor, x)` | distance to the nearest goal of a building, on the host |
+| `plr_jax.pairs.BuildingPairs` | `pairs((floor, x), (floor, y))` | distance between two places of a building |
 | `plr_jax.GridDistance` | `field(x)` | distance to the goal |
-| `plr_jax.GridDistances` | `field(x, y)` | distance between two points |
-| `plr_jax.PolygonDistance` | `field(x)` | distance to the nearest goal |
-| `plr_jax.PolygonDistances` | `field(x, y)` | distance between two points |
+| `plr_jax.traced.GridDistances` | `field(x, y)` | distance between two points |
+| `plr_jax.traced.PolygonDistance` | `field(x)` | distance to the nearest goal |
+| `plr_jax.traced.PolygonDistances` | `field(x, y)` | distance between two points |
 | `plr_jax.VisibilityGraph`, `plr_jax.Roadmap`, `plr_jax.Euclidean` | `oracle(x)` | distance to the goal |
 | `plr_jax.Dubins`, `plr_jax.ReedsShepp` | `oracle(poses)` | length of a car's path; poses are `(n, 3)` |
 | `plr_jax.GridField`, `plr_jax.GridGraph`, `plr_jax.VoxelGraph` | `oracle(x)` | distance to the goal |
 | `plr_jax.NearestGoal` | `oracle(x)` | distance to the nearest goal |
-| `plr_jax.CostMap`, `plr_jax.DirectionalCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
-| `plr_jax.RasterCost`, `plr_jax.LipschitzCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
+| `plr_jax.spaces.CostMap`, `plr_jax.spaces.LipschitzCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
+| `plr_jax.RasterCost`, `plr_jax.spaces.DirectionalCost` | `cost_map(q)` | cost per unit of length at `q`, `(n,)` |
 | `plr_jax.HeuristicFn` | `heuristic(q)` | cost-to-go of joint configurations `(n, robots, dof)` |
 """
 

@@ -56,9 +56,9 @@ assert (to_dock(positions) == graph(positions)).all()
 
 # Another metric
 
-`plr_jax.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a symmetric
-function of two batches of points, and suits smooth metrics: among obstacles, its errors are far larger than those of
-`construct_pairs`.
+`plr_jax.pairs.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a
+symmetric function of two batches of points, and suits smooth metrics: among obstacles, its errors are far larger than
+those of `construct_pairs`.
 
 ```python
 def great_circle(a, b):  # angle between two places on a sphere, each a latitude and a longitude
@@ -74,7 +74,7 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 
 Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, with
 mostly smaller mean errors than those of `construct`. With `certified=True`, proven errors are mostly smaller instead.
-`plr_jax.stack` combines PLRs into one function, a `plr_jax.PLRStack`.
+`plr_jax.stack` combines PLRs into one function, a `plr_jax.plr.PLRStack`.
 
 ```python
 first = plr_jax.VisibilityGraph(workspace, y[0])

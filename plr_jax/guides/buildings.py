@@ -23,7 +23,7 @@ oracle = building.oracle(0, (10, 1))  # the goal: floor 0, point (10, 1)
 x = ground.sample_free(1000, seed=0)
 print(oracle(0, x)[:3], oracle(1, [(1, 1), (19, 1)]))  # distances, costs of links included
 print(oracle.which(1, x)[:3])  # the next link; -1: walk to the goal, -2: no path
-route = oracle.shortest_path(1, (13, 8))  # a plr_jax.Route
+route = oracle.shortest_path(1, (13, 8))  # a plr_jax.buildings.Route
 print(route.length, route.links, route.legs)  # a leg is a floor and points (m, 2)
 ```
 
@@ -36,11 +36,11 @@ building without it.
 # Kilobytes, proofs, batches
 
 ```python
-plr = oracle.construct(leaf="cone", max_bytes=2048, certified=True)  # a plr_jax.BuildingPLR
+plr = oracle.construct(leaf="cone", max_bytes=2048, certified=True)  # a plr_jax.buildings.BuildingPLR
 print(plr(1, (13, 8)), plr.bounds(1, (13, 8)), plr.max_error)  # proven
 print(plr.which(0, x[:3]), plr.trace(1, [(13, 8)], building)[0].links)
 plr_jax.save(plr, "building.plr")  # one file for all floors; plr_jax.load reads it
-f = plr_jax.load_numpy("building.plr")  # a plr_jax.NumpyBuildingPLR, without JAX
+f = plr_jax.load_numpy("building.plr")  # a plr_jax.buildings.NumpyBuildingPLR, without JAX
 print(f([0, 1], [(1, 1), (13, 8)]))
 
 from pathlib import Path
@@ -64,7 +64,7 @@ plr_jax.plot.save(ax, "building.png")
 # Any two places
 
 ```python
-pairs = plr_jax.construct_pairs(building)  # plr_jax.BuildingPairs
+pairs = plr_jax.construct_pairs(building)  # plr_jax.pairs.BuildingPairs
 print(pairs((0, x[:3]), (1, (5, 5))), pairs.bounds((0, x[:3]), (1, (5, 5))))
 ```
 

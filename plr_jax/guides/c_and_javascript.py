@@ -22,7 +22,7 @@ Path("maze.mjs").write_text(plr.js_module())
 
 # NumPy
 
-`plr_jax.load_numpy` reads a file as a `plr_jax.NumpyPLR`, without JAX. A single point takes a few microseconds.
+`plr_jax.load_numpy` reads a file as a `plr_jax.plr.NumpyPLR`, without JAX. A single point takes a few microseconds.
 
 ```python
 f = plr_jax.load_numpy("maze.plr")  # or plr.numpy()

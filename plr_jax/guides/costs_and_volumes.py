@@ -30,18 +30,18 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
 
 # Costs
 
-A `plr_jax.CostMap` is a positive factor of the length of motions through `q`. For travel times, give `1 / speed`.
+A `plr_jax.spaces.CostMap` is a positive factor of the length of motions through `q`: for travel times, `1 / speed`.
 
 - `plr_jax.RasterCost`: a raster of factors. `interpolation="bilinear"`, the default, suits samples of a smooth cost;
   `"nearest"` suits cells of classes, such as road and river. The two are different costs, with different true
   distances. `from_costmap` and `from_occupancy_grid` read ROS, `inflated` adds costs around obstacles like Nav2, and
   `plr_jax.scenes.read_cost_map` reads files.
-- `plr_jax.LipschitzCost`: a function, and a limit of how fast it changes. Proofs rely on this limit.
-- `plr_jax.DirectionalCost`: costs that depend on the direction, such as a current; its docstring has examples.
-- `plr_jax.MotionCost`: how a space measures the length of a motion, for example with a weight for turns.
+- `plr_jax.spaces.LipschitzCost`: a function, and a limit of how fast it changes. Proofs rely on this limit.
+- `plr_jax.spaces.DirectionalCost`: costs that depend on the direction, such as a current; its docstring has examples.
+- `plr_jax.spaces.MotionCost`: how a space measures the length of a motion, for example with a weight for turns.
 
 ```python
-slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
+slow = plr_jax.spaces.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
 plane = plr_jax.PlaneSpace(plr_jax.scenes.maze().workspace)  # a point; a second argument may be a DiscRobot
 proven = plr_jax.solve_eikonal(plane, goal=(0.06, 0.07), cost_map=slow, max_bytes=8192)
 lower, upper = proven.bounds([[0.9, 0.9]])
@@ -101,12 +101,12 @@ print(body_plr((3.4, 0.5, 0)), arm_plr((2, 0)), ball_plr((3.8, 0.5, 0.5)), ball_
 
 # Your own space
 
-A class with `domain`, `motion_cost` and `is_free(q)` is a `plr_jax.FreeTest`: enough for an estimate.
+A class with `domain`, `motion_cost` and `is_free(q)` is a `plr_jax.spaces.FreeTest`: enough for an estimate.
 
 ```python
 class Pipe:  # the surface of a pipe: a length and an angle, with a hole
     domain = plr_jax.Box((0, -np.pi), (10, np.pi), periodic=(False, True))
-    motion_cost = plr_jax.MotionCost([((0, 1), 1.0)])  # Euclidean length over both axes, for a radius of 1
+    motion_cost = plr_jax.spaces.MotionCost([((0, 1), 1.0)])  # Euclidean length over both axes, for a radius of 1
 
     def is_free(self, q):
         return np.hypot(q[:, 0] - 5, q[:, 1]) >= 1
@@ -115,7 +115,7 @@ pipe_plr = plr_jax.solve_eikonal(Pipe(), goal=(1, 0), max_leaves=500, certified=
 print(pipe_plr((9, 0)), pipe_plr((9, 3)))
 ```
 
-Proofs need a `plr_jax.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.CellState` for each box, and
-`are_free(q0, q1)` tests motions. Answer FREE or BLOCKED only if this is proven; MIXED is always allowed. With
-`sees_boxes`, a `plr_jax.SeesBoxes`, upper bounds are finite beside walls too, except at a few points by walls' ends.
+Proofs need a `plr_jax.spaces.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.spaces.CellState` for each
+box, and `are_free(q0, q1)` tests motions. Answer FREE or BLOCKED only if this is proven, else MIXED. With
+`sees_boxes`, a `plr_jax.spaces.SeesBoxes`, upper bounds are finite beside walls too, but for points by walls' ends.
 """

@@ -109,13 +109,13 @@ print(plr_jax.load("exits.plr").which(x[:3]), exits.which(x[:3]), exits.shortest
 
 # Your own rules
 
-`plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. A rule is a function of a `plr_jax.CellFit`, the
-samples of a batch of cells. Fitting: `plr_jax.least_squares`. Which cell to split: `plr_jax.largest_error`,
-`plr_jax.center_error`, `plr_jax.maximum_depth`. Along which axis: `plr_jax.best_axis`, `plr_jax.cyclic_axis`.
-`executor` is for oracles that take minutes. File formats and leaf classes are in `plr_jax.plr`.
+`plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. The rules are in `plr_jax.plr`; each is a
+function of a `plr_jax.plr.CellFit`, the samples of a batch of cells. Fitting: `least_squares`. Which cell to split:
+`largest_error`, `center_error`, `maximum_depth`. Along which axis: `best_axis`, `cyclic_axis`. `executor` is for
+oracles that take minutes. Leaf classes are in `plr_jax.plr`, too.
 
 ```python
-options = plr_jax.BuildOptions(should_split=plr_jax.maximum_depth, split=plr_jax.cyclic_axis)
+options = plr_jax.BuildOptions(should_split=plr_jax.plr.maximum_depth, split=plr_jax.plr.cyclic_axis)
 paper = plr_jax.construct(oracle, workspace.bounds, max_depth=9, options=options)
 ```
 """

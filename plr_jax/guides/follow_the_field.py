@@ -37,7 +37,7 @@ tenths of a second.
 
 ```python
 space = plr_jax.PlaneSpace(workspace)
-slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
+slow = plr_jax.spaces.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
 costs = plr_jax.solve_eikonal(space, goal, cost_map=slow, certified=False)
 descent = plr_jax.descend(costs, space, starts[:2], goal, cost_map=slow)
 print(descent.costs, costs(starts[:2]))
@@ -46,8 +46,8 @@ print(descent.costs, costs(starts[:2]))
 # Trace
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
-from the file. Give it the workspace, if you have it, so that no path cuts a corner. The result is a `plr_jax.Traces`,
-with a `plr_jax.TraceStatus` for each path.
+from the file. Give it the workspace, if you have it, so that no path cuts a corner. The result is a
+`plr_jax.plr.Traces`, with a `plr_jax.TraceStatus` for each path.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)

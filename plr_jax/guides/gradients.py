@@ -5,7 +5,7 @@
 | PLR, stack, pairs | point | `jax.grad(plr)(x)` |
 | PLR of planes, continuous or smooth leaves | value that the file stores | `plr.tunable()` |
 | polygons, inside `jit` | point, goal, vertex | `plr_jax.polygon_distance` |
-| discs, inside `jit` | center, radius | `plr_jax.polygons_of_discs` |
+| discs, inside `jit` | center, radius | `plr_jax.traced.polygons_of_discs` |
 | polygons, on the host | point, goal, vertex | `oracle.directions`, `oracle.vertex_gradient` |
 | grids, inside `jit` | point, goal; not which cells are free | `plr_jax.grid_distance` |
 | `plr_jax.cost_distance` | cost of a cell: compute it, as the length of `result.path(x)` in the cell | |
@@ -17,8 +17,8 @@ from its neighbors on the path. By all other vertices, it is 0. `jax.jvp` and `j
 
 # Move walls
 
-`plr_jax.polygon_distance(polygons, goal)` returns a `plr_jax.PolygonDistance`, exact for up to 256 vertices. All
-arguments may be traced, and `vmap` takes many maps. Here walls move so that points get a shorter way to a door.
+`plr_jax.polygon_distance(polygons, goal)` returns a `plr_jax.traced.PolygonDistance`, exact for up to 256 vertices.
+All arguments may be traced, and `vmap` takes many maps. Here walls move so that points get a shorter way to a door.
 
 ```python
 import jax
@@ -51,11 +51,11 @@ for _ in range(20):
 print(shifts, cost)
 ```
 
-Without a goal, the result is a `plr_jax.PolygonDistances`, of pairs of points. Pad polygons with rows of NaN.
+Without a goal, the result is a `plr_jax.traced.PolygonDistances`, of pairs of points. Pad polygons with rows of NaN.
 
 ```python
 def between(centers):
-    return plr_jax.polygon_distance(plr_jax.polygons_of_discs(centers, radii=0.8), None)(x[0], door)
+    return plr_jax.polygon_distance(plr_jax.traced.polygons_of_discs(centers, radii=0.8), None)(x[0], door)
 
 print(jax.grad(between)(jnp.array([(5.0, 3.0), (7.0, 2.0)])))
 ```
@@ -87,9 +87,9 @@ print(jax.jit(jax.grad(mean_on_host))(walls.reshape(-1, 2)))
 # Train what a PLR stores
 
 Planes, continuous and smooth leaves are linear in the values that the file stores. `plr.tunable()` returns a
-`plr_jax.TunablePLR`, a pytree of these values, which optax fits to measurements. Leaves keep their boxes, and stay
-continuous where they were. Store fewer values than you have measurements, by a small `max_bytes`, or noise is fitted,
-too. `to_plr` writes a file again, without a proof.
+`plr_jax.plr.TunablePLR`, a pytree of these values, which optax fits to measurements. Leaves keep their boxes, and
+stay continuous where they were. Store fewer values than you have measurements, by a small `max_bytes`, or noise is
+fitted, too. `to_plr` writes a file again, without a proof.
 
 ```python
 problem = plr_jax.scenes.maze()

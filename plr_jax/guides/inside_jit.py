@@ -56,7 +56,7 @@ blocked or outside the grid, they are `inf` everywhere. A field that was made un
 - `4`: steps between cells with a common side.
 - `8`: also diagonal steps, if both cells beside the step are free.
 
-Without a goal, the result is a `plr_jax.GridDistances`, the distance between any two points:
+Without a goal, the result is a `plr_jax.traced.GridDistances`, the distance between any two points:
 
 ```python
 free = jnp.ones((11, 11), bool).at[5, :8].set(False)  # a wall

@@ -31,8 +31,8 @@ path with the real robots: `plr_jax.validate(problem, solution.path).clearance` 
 Robots stay 0.1 apart.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
-`plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the
-time that this takes, at unit speed.
+`plr_jax.metrics.path_cost`. All robots move from one row of the path to the next at the same time.
+`plr_jax.metrics.makespan` is the time that this takes, at unit speed.
 
 # The planner
 
@@ -40,7 +40,7 @@ time that this takes, at unit speed.
 Barraquand and Latombe. It stops after the first search that succeeds, and shortens the path. If a few discs can move
 one after the other, it has a path at once, and searches only three lattices for a cheaper one. If it finds no path,
 one may still exist. Robots change speed and direction at once. A `plr_jax.Solution` has a `plr_jax.Status`, which
-says why the search ended, and `plr_jax.Stats`.
+says why the search ended, and `plr_jax.planners.Stats`.
 
 `plr_jax.validate` shares no collision test with the planner. Its `plr_jax.ValidationReport` says whether a path is
 valid, how close robots come to obstacles and to one another, and what the first violation is.
@@ -58,7 +58,7 @@ print(solution.lower_bound, bound, solution.cost / bound)
 
 options = plr_jax.BLOptions(lower_bound=bound, cost_factor=1.05, time_limit=10)
 better = plr_jax.bl_plan(problem, options=options)
-print(better.status is plr_jax.Status.SOLVED, better.factor, plr_jax.path_cost(problem, better.path))
+print(better.status is plr_jax.Status.SOLVED, better.factor, plr_jax.metrics.path_cost(problem, better.path))
 
 starts = problem.starts[None]  # one joint configuration, (1, robots, dof)
 exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
@@ -101,7 +101,7 @@ assert plr_jax.validate(plr_jax.Problem(workspace, robots, problem.starts, now.g
 ```
 
 `plr_jax.lifelong` gives each robot that arrives its next goal, while the other robots go on. It returns a
-`plr_jax.LifelongRun`.
+`plr_jax.planners.LifelongRun`.
 
 ```python
 docks = [(2, 2), (8, 2), (2, 8), (8, 8)]
@@ -115,6 +115,6 @@ last = [(8, 2), (2, 2)]
 run = plr_jax.lifelong(problem, next_goal, num_goals=6)
 print(run.goals, run.times[run.rows])  # which goals were reached, and when
 assert plr_jax.validate(run.problem, run.path).valid
-print(plr_jax.makespan(run.problem, run.path))
+print(plr_jax.metrics.makespan(run.problem, run.path))
 ```
 """

@@ -84,6 +84,7 @@ class DistanceToCell:
 
     @property
     def domain(self) -> Box:
+        """The box of all cells."""
         return Box((0, 0), self.tables.shape[::-1])
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:

@@ -80,7 +80,7 @@ class Solution:
         path: Joint configurations ``(steps, robots, dof)`` from the starts to the goals, in workspace units and
             radians. Between two rows all robots move at once along straight lines. None if no path was found.
         cost: Sum of the path's motion costs; ``inf`` if there is no path.
-        makespan: Duration of the path (see :func:`plr_jax.makespan`); ``inf`` if there is no path.
+        makespan: Duration of the path (see :func:`plr_jax.metrics.makespan`); ``inf`` if there is no path.
         lower_bound: Proven lower bound of the cost of every path.
         status: Reason why the planner ended. Any status may come with a path: EXHAUSTED, for instance, with a path
             that costs more than the cost factor allows.

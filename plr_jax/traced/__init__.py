@@ -1,4 +1,8 @@
-"""Shortest-path distances on grids and among polygons that may be traced, inside ``jax.jit``."""
+"""Shortest-path distances on grids and among polygons that may be traced, inside ``jax.jit``.
+
+`grid_distance` returns a `GridDistance` to one goal or `GridDistances` between any two points. `polygon_distance`
+returns a `PolygonDistance` or `PolygonDistances`; `polygons_of_discs` makes polygons around discs.
+"""
 
 import lazy_loader
 

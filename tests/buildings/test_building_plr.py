@@ -13,7 +13,8 @@ import pytest
 from building_scenes import GOAL, samples, two_floors
 
 from experiments._c_headers import STRICT
-from plr_jax import Building, BuildingPLR, load, load_numpy, save
+from plr_jax import Building, load, load_numpy, save
+from plr_jax.buildings import BuildingPLR
 from plr_jax.buildings.floors import NO_PATH, Floors
 
 BUILDING = two_floors()

@@ -32,7 +32,7 @@ def test_plan_four_rooms_writes_a_valid_path(tmp_path):
     assert (report.cost, "SOLVED") == (data["cost"], data["status"])
     solution = plr_jax.Solution.load(files[0])
     np.testing.assert_array_equal(solution.path, data["path"])
-    assert (solution.cost, solution.makespan) == (report.cost, plr_jax.makespan(problem, solution.path))
+    assert (solution.cost, solution.makespan) == (report.cost, plr_jax.metrics.makespan(problem, solution.path))
     assert files[1].read_text().startswith("<!doctype html>")
     assert files[2].read_bytes().startswith(b"\x89PNG")
     ratio = data["cost"] / data["lower_bound"]

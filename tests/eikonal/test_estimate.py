@@ -6,9 +6,10 @@ from eikonal_helpers import ROOM, BoxSpace, use_few_nodes
 from scipy import ndimage
 from space_helpers import Climb, Slow, rectangle
 
-from plr_jax import DiscRobot, LipschitzCost, PlaneSpace, RasterCost, VisibilityGraph, VoxelSpace, Workspace
+from plr_jax import DiscRobot, PlaneSpace, RasterCost, VisibilityGraph, VoxelSpace, Workspace
 from plr_jax.eikonal import estimate as estimates
 from plr_jax.geometry.box import Box
+from plr_jax.spaces import LipschitzCost
 
 
 def grid_estimate(space, cost_map, goal, num_leaves=0):

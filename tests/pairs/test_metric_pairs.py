@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from plr_jax import Box, MetricPairs, construct_metric_pairs, load, save
+from plr_jax import Box, construct_metric_pairs, load, save
+from plr_jax.pairs import MetricPairs
 
 
 def manhattan(x, y):

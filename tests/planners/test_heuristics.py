@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planner_helpers import ROOM
 
-from plr_jax import Box, DiscRobot, Euclidean, Problem, RectangleRobot, construct, load, path_cost
+from plr_jax import Box, DiscRobot, Euclidean, Problem, RectangleRobot, construct, load
+from plr_jax.metrics import path_cost
 from plr_jax.planners import straight_line, sum_of_distances, zero
 
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])

@@ -6,8 +6,9 @@ import shapely
 from planner_helpers import ROOM, exact, hallway
 from robot_helpers import AnyShape
 
-from plr_jax import DiscRobot, PointRobot, Problem, Workspace, bl_plan, makespan, scenes, validate
+from plr_jax import DiscRobot, PointRobot, Problem, Workspace, bl_plan, scenes, validate
 from plr_jax._problem import path_cost
+from plr_jax.metrics import makespan
 from plr_jax.planners.sequential import CornerRoadmap, sequential_path, with_early_departures
 
 NEEDLE = Workspace(((0, 0), (10, 10)), [[(0, 4.9), (7, 5), (0, 5.1)], [(10, 1), (8, 2), (9, 0.5)]])

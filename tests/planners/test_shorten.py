@@ -7,9 +7,10 @@ import pytest
 import shapely
 from planner_helpers import ROOM, TRIO, exact, joint_lattice_of, search_budget
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax._problem import motion_costs
 from plr_jax.collision.motions import JointMotionTest
+from plr_jax.metrics import path_cost
 from plr_jax.planners.best_first import BestFirstSearch, tabulate
 from plr_jax.planners.shorten import _cheapest, shorten, shorten_in_corridors
 

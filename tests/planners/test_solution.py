@@ -8,8 +8,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, makespan, scenes
+from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax._problem import motion_costs
+from plr_jax.metrics import makespan
 from plr_jax.planners import Solution, Stats, Status
 from plr_jax.planners import _solution as module
 from plr_jax.planners._solution import make_solution, straight_line_bound

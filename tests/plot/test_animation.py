@@ -11,7 +11,8 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 from PIL.ImageSequence import Iterator
 
-from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot, Workspace, makespan, plot
+from plr_jax import DiscRobot, PointRobot, PolygonRobot, Problem, RectangleRobot, Workspace, plot
+from plr_jax.metrics import makespan
 from plr_jax.plot._paths import ROBOT_COLORS, timeline
 
 ROBOTS = [DiscRobot(0.5), RectangleRobot(1.0, 0.4), PointRobot()]

@@ -18,7 +18,8 @@ from vectors import FOLDER, read_vector, vector_names
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes, stack_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, Euclidean, NumpyPLR, Workspace, construct, construct_pairs, load_numpy, stack
+from plr_jax import Box, Euclidean, Workspace, construct, construct_pairs, load_numpy, stack
+from plr_jax.plr import NumpyPLR
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader

@@ -6,7 +6,8 @@ from robot_helpers import BAR, DISC, WING, AnyShape, sled
 from space_helpers import BOUNDS, SteadyCurrent, of_drone
 
 from plr_jax import Box, ClearanceSpace, DiscRobot, PlanarArm, RigidBodySpace, VoxelSpace, Workspace
-from plr_jax.spaces import LipschitzCost, MotionCost, PlaneSpace, RasterCost, cost_bounds
+from plr_jax.spaces import LipschitzCost, MotionCost, PlaneSpace, RasterCost
+from plr_jax.spaces._costs import cost_bounds
 
 OPEN = Workspace(((-4.0, -4.0), (4.0, 4.0)))
 HALL = Box((0, 0, 0), (4, 4, 3))

@@ -1,7 +1,8 @@
 import numpy as np
 from space_helpers import rectangle, states
 
-from plr_jax import CellState, PlanarArm, Workspace
+from plr_jax import PlanarArm, Workspace
+from plr_jax.spaces import CellState
 
 BLOCKED, FREE, MIXED = CellState
 OPEN = Workspace(((-4.0, -4.0), (4.0, 4.0)))

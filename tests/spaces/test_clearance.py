@@ -4,7 +4,8 @@ import pytest
 from eikonal_helpers import check_between, use_few_nodes
 from space_helpers import of_drone, random_boxes, states
 
-from plr_jax import Box, CellState, ClearanceSpace, MotionCost, solve_eikonal
+from plr_jax import Box, ClearanceSpace, solve_eikonal
+from plr_jax.spaces import CellState, MotionCost
 
 BLOCKED, FREE, MIXED = CellState
 PI = np.pi

@@ -3,8 +3,9 @@ import pytest
 from eikonal_helpers import use_few_nodes
 from space_helpers import Climb, SteadyCurrent
 
-from plr_jax import CostMap, DirectionalCost, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
-from plr_jax.spaces import cost_bounds
+from plr_jax import PlaneSpace, Workspace, solve_eikonal
+from plr_jax.spaces import CostMap, DirectionalCost, LipschitzCost
+from plr_jax.spaces._costs import cost_bounds
 
 
 def bumpy(q):

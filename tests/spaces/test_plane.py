@@ -4,7 +4,8 @@ import shapely
 from robot_helpers import POINT
 from space_helpers import BOUNDS, random_boxes, random_workspace, rectangle, states
 
-from plr_jax import CellState, DiscRobot, PlaneSpace, Workspace
+from plr_jax import DiscRobot, PlaneSpace, Workspace
+from plr_jax.spaces import CellState
 
 BLOCKED, FREE, MIXED = CellState
 DISC = DiscRobot(0.25)

@@ -3,7 +3,8 @@ import pytest
 from robot_helpers import BAR
 from space_helpers import BOUNDS, rectangle, states
 
-from plr_jax import CellState, RigidBodySpace, Workspace
+from plr_jax import RigidBodySpace, Workspace
+from plr_jax.spaces import CellState
 
 BLOCKED, FREE, MIXED = CellState
 OPEN = Workspace(BOUNDS)

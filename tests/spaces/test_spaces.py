@@ -11,8 +11,8 @@ from robot_helpers import BAR, PEBBLE, POINT, WING, AnyShape, shapes
 from space_helpers import check_classification, check_motions, keep_clear, of_drone, random_boxes, random_workspace
 from voxel_helpers import clearances
 
-from plr_jax import Box, ClearanceSpace, DiscRobot, FreeTest, PlanarArm, RectangleRobot, RigidBodySpace, Workspace
-from plr_jax.spaces import CellState, ConfigurationSpace, MotionCost, PlaneSpace, VoxelSpace
+from plr_jax import Box, ClearanceSpace, DiscRobot, PlanarArm, RectangleRobot, RigidBodySpace, Workspace
+from plr_jax.spaces import CellState, ConfigurationSpace, FreeTest, MotionCost, PlaneSpace, VoxelSpace
 
 BLOCKED, FREE, MIXED = CellState
 PI = np.pi

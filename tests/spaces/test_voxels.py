@@ -3,8 +3,9 @@ import pytest
 from space_helpers import states
 from voxel_helpers import passes, random_volume, state_of
 
-from plr_jax import CellState, ConfigurationSpace, SeesBoxes, VoxelSpace
+from plr_jax import VoxelSpace
 from plr_jax.plr.tree import Cells
+from plr_jax.spaces import CellState, ConfigurationSpace, SeesBoxes
 
 BLOCKED, FREE, MIXED = CellState
 CHECKERS = np.array([[True, False], [False, True]])

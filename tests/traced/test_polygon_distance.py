@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from plr_jax import Box, VisibilityGraph, Workspace, polygon_distance, polygons_of_discs
+from plr_jax import Box, VisibilityGraph, Workspace, polygon_distance
+from plr_jax.traced import polygons_of_discs
 
 MAPS, STARS, SHAPE, POINTS = 24, 12, (6, 6, 2), 40
 BOUNDS = np.array([(-0.5, -0.5), (1.5, 1.5)], np.float32)

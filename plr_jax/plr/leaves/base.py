@@ -157,7 +157,8 @@ class LinearLeafModel(LeafModel):
     """A leaf model with functions ``basis(u) @ coefficients`` of coordinates ``u`` from -1 to 1 across the leaf."""
 
     @abstractmethod
-    def basis(self, u: Points) -> Coefficients: ...
+    def basis(self, u: Points) -> Coefficients:
+        """Return the basis functions (columns) at points ``u`` (rows) of a cell, with coordinates from -1 to 1."""
 
     @abstractmethod
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:

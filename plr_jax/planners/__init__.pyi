@@ -1,0 +1,11 @@
+from ._heuristics import straight_line as straight_line
+from ._heuristics import sum_of_distances as sum_of_distances
+from ._heuristics import zero as zero
+from ._solution import Solution as Solution
+from ._solution import Stats as Stats
+from ._solution import Status as Status
+from .driver import bl_plan as bl_plan
+from .replanning import LifelongRun as LifelongRun
+from .replanning import lifelong as lifelong
+from .replanning import replan as replan
+from .searches import BLOptions as BLOptions

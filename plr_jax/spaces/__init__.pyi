@@ -1,0 +1,14 @@
+from ._arm import PlanarArm as PlanarArm
+from ._clearance import ClearanceSpace as ClearanceSpace
+from ._costs import CostMap as CostMap
+from ._costs import DirectionalCost as DirectionalCost
+from ._costs import LipschitzCost as LipschitzCost
+from ._plane import PlaneSpace as PlaneSpace
+from ._raster_cost import RasterCost as RasterCost
+from ._rigid_body import RigidBodySpace as RigidBodySpace
+from ._space import CellState as CellState
+from ._space import ConfigurationSpace as ConfigurationSpace
+from ._space import FreeTest as FreeTest
+from ._space import MotionCost as MotionCost
+from ._space import SeesBoxes as SeesBoxes
+from ._voxels import VoxelSpace as VoxelSpace
