@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Float
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -28,7 +29,7 @@ from plr_jax.spaces import FreeTest
 Corners: TypeAlias = Float[np.ndarray, "_ 2"]
 _CELL_COLOR = "#6e6e6e"
 OBSTACLE = "#ececec"
-_ERROR_COLORS = "inferno"
+_ERROR_COLORS = colormaps["inferno"].resampled(12)  # four colors a decade: readable, and small files
 _NUM_LEVELS = 16  # of contours, at most
 _ERROR_RANGE = 1e-3  # smallest error of the color scale, as a share of the largest
 
@@ -133,8 +134,8 @@ def plot_contours(
     Args:
         plr: The PLR, or another function of a box. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
-        workspace: The workspace whose obstacles are drawn on top; values inside obstacles have no meaning. With a
-            ``goal``, free regions that are disconnected from the goal are gray too.
+        workspace: The workspace whose obstacles are drawn on top; values inside obstacles have no meaning. What lies
+            beyond its bounds is gray; with a ``goal``, so are free regions that are disconnected from the goal.
         space: Instead of a workspace, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
@@ -157,8 +158,11 @@ def plot_contours(
     tester, dim = (space, shown.domain.dim) if workspace is None else (workspace, 2)
     tested = points[..., :dim].reshape(-1, dim)
     is_free = (np.ones(len(tested), bool) if tester is None else tester.is_free(tested)).reshape(values.shape)
-    # 2. Project the goals to the slice, and find the parts of free space that cannot reach them.
+    # 2. Project the goals to the slice, and find what lies beyond the workspace or cannot reach them.
     cut_off: Any = []
+    if workspace is not None:
+        bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+        cut_off = polygons_of(shapely.box(*shown.box.lo, *shown.box.hi) - bounds)
     if goal is not None:
         given = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
         goals = plr.domain.wrapped(np.reshape(given, (-1, plr.domain.dim)))[:, list(shown.axes)]
@@ -167,7 +171,7 @@ def plot_contours(
             parts = shapely.get_parts(workspace.free_space)
             is_reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
             if is_reached.any() and not is_reached.all():  # if no goal is in free space, nothing is cut off
-                cut_off = parts[~is_reached]
+                cut_off = [*cut_off, *parts[~is_reached]]
                 reached = shapely.MultiPolygon(list(parts[is_reached]))
                 is_free &= shapely.intersects_xy(reached, points[..., 0], points[..., 1])
     # 3. Draw values. Those inside obstacles are covered later, so that colors reach the walls; they do not affect the

@@ -108,6 +108,14 @@ def test_rooms_cut_off_from_goal_are_gray(squeeze, is_gray):
     assert len(exits.patches) == 2 and len(exits.lines[-1].get_xydata()) == 3
 
 
+def test_values_beyond_bounds_of_workspace_are_covered():
+    room = Workspace(((0.5, 0.25), (1.5, 1.0)), [])
+    ax = plot.plot_contours(Rising(Box((0, 0), (2, 1))), workspace=room, resolution=40)
+    (frame,) = ax.patches
+    assert frame.get_path().contains_points([(0.2, 0.5), (1.0, 0.1), (1.8, 0.9)]).all()
+    assert not frame.get_path().contains_points([(0.6, 0.3), (1.0, 0.95)]).any()
+
+
 def test_obstacles_cover_only_blocked_region():
     ax = plot.plot_workspace(WORKSPACE, unit="m")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (m)", "y (m)")
