@@ -14,7 +14,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
 # Parts of the package and of some of its rooms, from the bottom up, with a slash between layers. A part imports
 # itself and parts of lower layers; parts of one layer never import one another.
-LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
+LAYERS = """_types _progress / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
     oracles plr planners spaces traced / buildings / pairs / _io / _lookahead /
     _descend metrics plot scenes eikonal ompl / rasters / cli guides / __main__"""
 PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame sizes coding sampling /

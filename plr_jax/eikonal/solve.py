@@ -12,9 +12,9 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
+from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike, Fractions, Reach
 from plr_jax.eikonal.bounds import CostToGoField
 from plr_jax.eikonal.certified import plr_of_bytes, plr_on_mesh, straight_bound
@@ -254,7 +254,7 @@ def _field(
     reached, cut_off = space.separated(given) if isinstance(space, Separable) else (space, None)
     reach = None if cut_off is None else _reach_of_spaces(reached, cut_off)
     solver = SlopeSolver(reached, cost_map, goals, max_cells, tolerance, reach)
-    with tqdm(desc="solve_eikonal", total=max_cells, unit=" cells", delay=3, leave=False, disable=None) as progress:
+    with Progress("solve_eikonal", "cells", max_cells) as progress:  # at most so many
         try:
             solver.refine(progress)
         except KeyboardInterrupt:
@@ -328,7 +328,7 @@ class SlopeSolver:
         assert self.iterate is not None
         return self.program.below_goals(self.iterate.values)
 
-    def refine(self, progress: tqdm) -> None:
+    def refine(self, progress: Progress) -> None:
         """Solve the program on finer and finer meshes, and at the end on the finest mesh with many iterations."""
         # 1. Solve on the coarse mesh.
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)

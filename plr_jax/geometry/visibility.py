@@ -23,9 +23,9 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from tqdm import tqdm
 
 from plr_jax._arrays import concatenated, index_of
+from plr_jax._progress import Progress
 from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, previous_half_edge
 from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
@@ -346,7 +346,7 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
     Pairs may repeat.
     """
     tables, seen, num_views = [], [], len(views.points)
-    with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
+    with Progress("visibility", "corners", num_views) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):
             table, of_part = _look_around(triangulation, views[begin : begin + _VIEWS])
             tables.append(table)

@@ -10,9 +10,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
-from tqdm import tqdm
 
 from plr_jax import _arrays
+from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike, Distances, Points, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
@@ -97,10 +97,11 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
     """
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
-    steps = list(_arrays.slices(len(pairs), _EDGES_A_STEP))
-    for rows in tqdm(steps, "Roadmap edges", unit=" edges", unit_scale=_EDGES_A_STEP, delay=3, disable=None):
-        start, end = pairs[rows].T
-        visible[rows] = is_visible(vertices[start], vertices[end])
+    with Progress("Roadmap", "edges", len(pairs)) as progress:
+        for rows in _arrays.slices(len(pairs), _EDGES_A_STEP):
+            start, end = pairs[rows].T
+            visible[rows] = is_visible(vertices[start], vertices[end])
+            progress.update(len(start))
     return pairs[visible].astype(np.int32)
 
 
@@ -339,18 +340,19 @@ class Roadmap:
         def sees(batch, vertex, point, column):
             return self.is_visible(batch[point], vertices[vertex[point, column]])
 
-        parts = list(_arrays.slices(len(x), step))
-        for rows in tqdm(parts, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
-            # 2. Find the near vertices, and the length of the path through each; NaN excludes a vertex.
-            #    The tree refuses to look for no vertices.
-            batch, nearest = x[rows], np.arange(1, 1 + max(1, int(count[rows].max())))
-            length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
-            through = length + distances[vertex]
-            through[(length <= inner) | np.isinf(length)] = np.nan
-            # 3. Take the shortest path whose first vertex is visible. If none is, the column is -1.
-            column, shortest = first_visible(through, partial(sees, batch, vertex), at_once=1)
-            vertex = np.where(column < 0, -1, np.take_along_axis(vertex, column, axis=1))
-            distance[rows], first[rows] = shortest[:, 0], vertex[:, 0]
+        with Progress("Roadmap", "queries", len(x)) as progress:
+            for rows in _arrays.slices(len(x), step):
+                # 2. Find the near vertices, and the length of the path through each; NaN excludes a vertex.
+                #    The tree refuses to look for no vertices.
+                batch, nearest = x[rows], np.arange(1, 1 + max(1, int(count[rows].max())))
+                length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
+                through = length + distances[vertex]
+                through[(length <= inner) | np.isinf(length)] = np.nan
+                # 3. Take the shortest path whose first vertex is visible. If none is, the column is -1.
+                column, shortest = first_visible(through, partial(sees, batch, vertex), at_once=1)
+                vertex = np.where(column < 0, -1, np.take_along_axis(vertex, column, axis=1))
+                distance[rows], first[rows] = shortest[:, 0], vertex[:, 0]
+                progress.update(len(batch))
         return distance, first
 
 

@@ -26,10 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int, Int32, Integer, Shaped
-from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax._compiled import pytree
+from plr_jax._progress import Progress
 
 # Lengths of steps in units, by connectivity: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
@@ -346,8 +346,7 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
     if has_table and len(edges) * (len(edges) + 1) // 2 * _DIFFERENCE_TYPES[connectivity].itemsize > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     # 2. Eliminate corners, and compute distances in reverse order: to ancestors if there are many corners, else all.
-    options = {"total": 2 * len(edges), "delay": 2, "leave": False, "disable": None}
-    with tqdm(desc="construct_grid_pairs", unit=" corners", **options) as progress:
+    with Progress("construct_grid_pairs", "corners", 2 * len(edges)) as progress:
         order, uppers = _eliminated(edges, progress)
         if not has_table:
             labels = _labels(order, uppers, progress)
@@ -382,7 +381,7 @@ def _compressed(distances: Int32[np.ndarray, "corners corners"], connectivity: i
     return CornerTable(*map(jnp.asarray, (center.astype(np.min_scalar_type(len(centers))), between, differences)))
 
 
-def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
+def _eliminated(edges: _Edges, progress: Progress) -> tuple[list[int], _Edges]:
     """Eliminate all corners; return their order, and the edges of each corner to corners eliminated later.
 
     ``edges[i]`` maps each neighbor of corner ``i`` to the length of the edge. It is modified in place, and becomes
@@ -423,7 +422,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
     return order, edges
 
 
-def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
+def _labels(order: list[int], uppers: _Edges, progress: Progress) -> CornerLabels:
     """Return the path lengths from each corner to its ancestors in the tree of vertex elimination.
 
     ``order`` has the corners in the order of elimination, and ``uppers[i]`` maps each neighbor of corner ``i`` that
@@ -464,7 +463,7 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
     return CornerLabels(*map(jnp.asarray, (first.astype(np.int32), ancestor, length)))
 
 
-def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
+def _all_pairs(order: list[int], uppers: _Edges, progress: Progress) -> Int32[np.ndarray, "corners corners"]:
     # In the reverse order of elimination, a corner v comes after its neighbors u, and all paths from it to earlier
     # corners t lead over one of them:
     #   D(v, t) = min over neighbors u of w(v, u) + D(u, t).

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from tqdm import tqdm
 
 from plr_jax._arrays import batches, path_from_root, ragged_indices, require_time, slices
+from plr_jax._progress import Progress
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._heuristics import require_estimates
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
@@ -169,7 +169,7 @@ class BestFirstSearch:
     def num_bytes_needed(joint: JointLattice) -> int:
         return sum(_MOTION_BYTES * each.kind.child.size + _ESTIMATE_BYTES * len(each.q) for each in joint.lattices)
 
-    def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
+    def run(self, max_expansions: int, progress: Progress | None = None) -> Status | None:
         """Search until about ``max_expansions`` nodes are expanded.
 
         Return why the search ended, or None if another call can continue it.

@@ -8,9 +8,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from tqdm import tqdm
 
 from plr_jax._problem import ROUNDING, JointPath, Problem, makespan, motion_costs, path_cost
+from plr_jax._progress import Progress
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
@@ -105,8 +105,8 @@ def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLO
     run = Run(problem, heuristic, options, time.perf_counter())
     try:
         if (status := run.try_sequential_path()) is None:
-            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as bar:
-                status = run.search_until_limit(bar)
+            with Progress("bl_plan", "expansions") as progress:
+                status = run.search_until_limit(progress)
             run.shorten_sequential_path()
         if run.path is not None and run.cost <= run.accepted_cost:
             status = Status.SOLVED
@@ -186,7 +186,7 @@ class Run:
             self._shorten(subdivided(self.problem, self.path, width), _SEQUENTIAL, factor, width)
         return self.found_by == _SEQUENTIAL and self.cost <= self.accepted_cost
 
-    def search_until_limit(self, bar: tqdm) -> Status:
+    def search_until_limit(self, progress: Progress) -> Status:
         """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
 
         From one search to the next the lattice gets finer, and the weight of the heuristic falls. If the user gave a
@@ -199,7 +199,7 @@ class Run:
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_PER_ROBOT * len(self.problem.robots))
         while True:
-            status, step = self._run_searches(step, weight, names, bar)
+            status, step = self._run_searches(step, weight, names, progress)
             if status is not Status.SOLVED or self.cost <= self.accepted_cost:
                 return status
             if limit := self.budget.exceeded():
@@ -216,7 +216,9 @@ class Run:
             else:
                 return Status.EXHAUSTED
 
-    def _run_searches(self, step: float, weight: float, names: Sequence[str], bar: tqdm) -> tuple[Status, float]:
+    def _run_searches(
+        self, step: float, weight: float, names: Sequence[str], progress: Progress
+    ) -> tuple[Status, float]:
         """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
         finest = self.options.step or _FINEST * float(self.problem.workspace.bounds.width.max())
         running: list[Searches] = []  # from the coarsest lattice to the finest
@@ -242,10 +244,10 @@ class Run:
                     self.end_phase("heuristic")
                 # 3. Give all searches a turn, the newest first. (The loop may remove the present entry.)
                 for searches in reversed(running):
-                    nodes, cost = self.budget.num_nodes, f"{self.cost:.4g}"
-                    bar.set_postfix(step=f"{searches.joint.step:.3g}", nodes=nodes, cost=cost)
+                    size = f"step={searches.joint.step:.3g}, nodes={self.budget.num_nodes}"
+                    progress.update(0, f"{size}, cost={self.cost:.4g}")
                     try:
-                        status = searches.run(bar)
+                        status = searches.run(progress)
                     except TimeoutError:
                         status = Status.TIME_LIMIT
                     finally:

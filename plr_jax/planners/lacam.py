@@ -13,10 +13,10 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from tqdm import tqdm
 
 from plr_jax._arrays import batches
 from plr_jax._problem import ROUNDING
+from plr_jax._progress import Progress
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice, Table
@@ -270,7 +270,7 @@ class LaCAM:
     def num_bytes_needed(joint: JointLattice) -> int:
         return 0
 
-    def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
+    def run(self, max_idle: int, progress: Progress | None = None) -> Status | None:
         """Search until the goals are reached, or ``max_idle`` steps in a row bring no progress.
 
         Return why the search ended, or None if another call can continue it.

@@ -7,10 +7,10 @@ from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
-from tqdm import tqdm
 
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
 from plr_jax._problem import ROUNDING, JointPath, Problem, motion_costs, row_times, settled_pose, straight_costs
+from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
@@ -224,7 +224,7 @@ def lifelong(
     require_function("next_goal", next_goal)
     require_function("plan", plan or bl_plan)
     team = _LifelongTeam(problem, options, plan)
-    with tqdm(total=num_goals, desc="lifelong", unit=" goals", delay=3, leave=False, disable=None) as progress:
+    with Progress("lifelong", "goals", num_goals) as progress:
         try:
             status = team.plan_from_nothing()
             while status is Status.SOLVED and len(team.served) < num_goals:

@@ -21,10 +21,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tqdm import tqdm
 
 from plr_jax._arrays import as_number, shortened
 from plr_jax._problem import Problem, require_problem
+from plr_jax._progress import Progress
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.best_first import BestFirstSearch, tabulate
@@ -115,8 +115,8 @@ class Searches:
         self.ended_by = ""  # the search that ended, by its name
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
-    def run(self, bar: tqdm) -> Status | None:
-        """Give each search a turn, longer at every call; ``bar`` shows the progress.
+    def run(self, progress: Progress) -> Status | None:
+        """Give each search a turn, longer at every call; ``progress`` counts expansions.
 
         Return the status of a search that ended, or None if a search can go on. A search that is exhausted, but has
         left out something, ends only itself. The other searches then continue.
@@ -128,7 +128,7 @@ class Searches:
                 self.running[name] = SEARCHES[name](self.joint, self.estimates, self.weight, self.budget)
             # 2. Let it search.
             if (search := self.running.get(name)) is not None:
-                status = search.run(max(1, int(self.turn * search.first_turn)), bar)
+                status = search.run(max(1, int(self.turn * search.first_turn)), progress)
                 if status is None:
                     can_go_on = True
                 elif search.is_complete or status is not Status.EXHAUSTED:

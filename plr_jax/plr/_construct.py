@@ -9,9 +9,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
+from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike, CellSources, DistanceFn, NearestFn, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.plr import sampling
@@ -326,10 +326,10 @@ def build_best_model(
     errors: dict[str, float] = {}
     refused: list[ValueError] = []
     is_interrupted = False
-    with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
+    with Progress("construct", "leaf models", len(names)) as progress:
         try:
-            for name in progress:
-                progress.set_description(f"construct: leaves of kind {name!r}")
+            for name in names:
+                progress.update(bool(built or refused), name)
                 try:
                     with warnings.catch_warnings(record=True) as caught:
                         warnings.simplefilter("always", ConstructionInterrupted)

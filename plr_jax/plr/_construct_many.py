@@ -8,10 +8,10 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
-from tqdm import tqdm
 
 from plr_jax._arrays import as_list, require_integer
 from plr_jax._compiled import num_cores
+from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
@@ -109,7 +109,7 @@ def construct_many(
         for part in np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1))):
             tasks[tuple(part.tolist())] = partial(_files, alone, task, [oracles[i] for i in part])
     total = len(oracles)
-    with tqdm(desc="construct_many", unit=" PLRs", total=total, delay=2, leave=False, disable=None) as progress:
+    with Progress("construct_many", "PLRs", total) as progress:
         files, is_interrupted = build_files(tasks, executor, progress)
     if is_interrupted:
         message = f"Interrupted at {len(files)} of {total} PLRs: the list has None for the others."
@@ -137,7 +137,7 @@ def _files(alone: Callable[..., Any], task: FamilyTask | WorstFirst | None, orac
     return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]
 
 
-def build_files(tasks: Tasks, executor: Executor | None, progress: tqdm) -> tuple[dict[int, bytes], bool]:
+def build_files(tasks: Tasks, executor: Executor | None, progress: Progress) -> tuple[dict[int, bytes], bool]:
     """Build the files of all tasks on parallel workers.
 
     ``executor`` runs the tasks. If it is None or a worker dies, threads of this process run the missing tasks.

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import sum_of_columns
+from plr_jax._progress import Progress
 from plr_jax._types import CellSources, Reach
 from plr_jax.geometry.box import Box
 from plr_jax.plr import certificate as proofs
@@ -193,10 +194,12 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
     def sufficient(least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         bounds = [target(least[target.leaves], most[target.leaves], recompute) for target in targets]
         low, high = map(np.concatenate, zip(*bounds, strict=True))
+        progress.update()
         return low, high
 
     # 3. Prove the bounds together, and encode them for each file.
-    lower, upper = proofs.prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
+    with Progress("certify", "rounds") as progress:
+        lower, upper = proofs.prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
     return [target.encode(lower[target.leaves], upper[target.leaves]) for target in targets]
 
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from tqdm import tqdm
 
 from plr_jax._arrays import row_products
+from plr_jax._progress import Progress
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import bits_of_set, body_size
 from plr_jax.plr.sampling import CellFit, OfTerms, Sampler, is_closed, solve_planes
@@ -84,7 +84,7 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
     """Call ``split_some`` until it returns None instead of a larger tree, or until Ctrl-C; return the last tree."""
     total = limits.max_leaves if limits.max_leaves < 1e9 else None
-    with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
+    with Progress("construct", "leaves", total) as progress:
         try:
             while (larger := split_some(tree)) is not None:
                 progress.update(len(larger) - len(tree))

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from tqdm import tqdm
 
 from plr_jax._arrays import as_distances, as_numbers, as_values, batches, row_products
+from plr_jax._progress import Progress
 from plr_jax._types import BoxTest, DistanceFn, Distances, Points, Reach, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
@@ -381,7 +381,7 @@ def parallel_distances(distance_fn: DistanceFn, executor: Executor, x: Points) -
 
 
 def run_tasks(
-    pool: Executor, tasks: Mapping[Any, Callable[[], Any]], results: dict[Any, Any], progress: tqdm | None = None
+    pool: Executor, tasks: Mapping[Any, Callable[[], Any]], results: dict[Any, Any], progress: Progress | None = None
 ) -> None:
     """Run tasks on the workers of a pool, and add the result of each finished task to ``results``, by its key.
 

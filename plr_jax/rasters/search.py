@@ -31,6 +31,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import as_numbers, batches, path_from_root, shortened
+from plr_jax._progress import Progress
 
 _LENGTH = 9.5  # most half cells of an edge, if cells are square: 88 edges at each corner and center
 _LENGTH_OVER_HEIGHTS = 6  # most half cells of an edge with heights: 72 edges at each node
@@ -189,26 +190,28 @@ def search(
     size = len(points) * len(_NEAR) + sum(len(listed) * len(block) for _, listed, block in blocks)
     ends, costs = np.empty(size, np.int32), np.empty(size)
     num_edges, counts = 0, []
-    for kind, listed, block in blocks:
-        end, cost_of = np.empty((len(listed), len(block)), np.int32), np.empty((len(listed), len(block)))
-        row, cost_in_plane = block // width, values_around(flat_cost, block)
-        height_at = None if relief is None else values_around(height, block)
-        for k, (i, j) in enumerate(listed):
-            length = float(np.hypot(*(side[::-1] * (i, j)))) / UNITS
-            cost_at, length_at = cost_in_plane, (lambda _: length)  # noqa: B023
-            if scale is not None:  # in a row, the motion is `ratio` times as long
-                ratio = np.hypot(side[0] * j * scale, side[1] * i) / UNITS / length
-                cost_at = lambda cell: ratio[row + cell[0]] * cost_in_plane(cell)  # noqa: B023, E731
-                length_at = lambda beyond: length * ratio[row + beyond]  # noqa: B023, E731
-            stretches: Stretches = [(1.0, 1.0)]
-            if relief is not None and height_at is not None:
-                stretches = _slope_factors((i, j), kind, length_at, height_at, relief.slope_fn)
-            end[k] = ends_of((i, j), kind, block)
-            cost_of[k] = length * mean_along((i, j), kind, cost_at, stretches, squeeze)
-        is_edge = ((end >= 0) & (cost_of < np.inf)).T
-        counts.append(is_edge.sum(axis=1))
-        table = slice(num_edges, num_edges := num_edges + int(counts[-1].sum()))
-        ends[table], costs[table] = end.T[is_edge], cost_of.T[is_edge]
+    with Progress("cost_distance", "edges", size) as progress:
+        for kind, listed, block in blocks:
+            end, cost_of = np.empty((len(listed), len(block)), np.int32), np.empty((len(listed), len(block)))
+            row, cost_in_plane = block // width, values_around(flat_cost, block)
+            height_at = None if relief is None else values_around(height, block)
+            for k, (i, j) in enumerate(listed):
+                length = float(np.hypot(*(side[::-1] * (i, j)))) / UNITS
+                cost_at, length_at = cost_in_plane, (lambda _: length)  # noqa: B023
+                if scale is not None:  # in a row, the motion is `ratio` times as long
+                    ratio = np.hypot(side[0] * j * scale, side[1] * i) / UNITS / length
+                    cost_at = lambda cell: ratio[row + cell[0]] * cost_in_plane(cell)  # noqa: B023, E731
+                    length_at = lambda beyond: length * ratio[row + beyond]  # noqa: B023, E731
+                stretches: Stretches = [(1.0, 1.0)]
+                if relief is not None and height_at is not None:
+                    stretches = _slope_factors((i, j), kind, length_at, height_at, relief.slope_fn)
+                end[k] = ends_of((i, j), kind, block)
+                cost_of[k] = length * mean_along((i, j), kind, cost_at, stretches, squeeze)
+            is_edge = ((end >= 0) & (cost_of < np.inf)).T
+            counts.append(is_edge.sum(axis=1))
+            table = slice(num_edges, num_edges := num_edges + int(counts[-1].sum()))
+            ends[table], costs[table] = end.T[is_edge], cost_of.T[is_edge]
+            progress.update(end.size)
     # 5. Add the edges of sources to the nodes in and beside their cells. With heights, sources move to the centers of
     #    their cells, at no cost.
     if relief is None:

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import vstack
 from space_helpers import Slow
-from tqdm import tqdm
 
 from plr_jax import PlaneSpace, Workspace, solve_eikonal
+from plr_jax._progress import Progress
 from plr_jax.eikonal import solve
 from plr_jax.eikonal.mesh import coarse_mesh
 from plr_jax.eikonal.program import SlopeProgram, rescaling_of
@@ -142,7 +142,7 @@ def test_rescaling_slope_is_inverse_of_largest_factor(cells):
 def solver_of(workspace, max_cells):
     """Return a solver after all refinements."""
     solver = SlopeSolver(PlaneSpace(workspace), None, np.array([[0.9, 0.1]]), max_cells, 0.0)
-    solver.refine(tqdm(disable=True))
+    solver.refine(Progress("solve", "cells"))
     return solver
 
 
