@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from jaxtyping import Float
 from plr_jax import PLR
 from plr_jax.plr.portable.numpy import NumpyPLR
 
-STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-ffp-contract=off"]
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"]
+STRICT += ["-ffp-contract=off"]
 """Options with which headers compile, as C99 and as C++."""
 _C99 = ["-std=c99", *STRICT]
 _RUNS = 5
@@ -82,8 +84,11 @@ def compiled_header(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) ->
     return CompiledHeader(text, "here", _type_of(text), plr.dim, folder)
 
 
-def object_for_size(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) -> Path:
-    """The object file of a program that uses a header, compiled for size; the use of the stack is beside it."""
+def object_for_size(plr: PLR | NumpyPLR, folder: Path, compact: bool = False, command: Sequence[str] = ()) -> Path:
+    """The object file of a program that uses a header, compiled for size; the use of the stack is beside it.
+
+    ``command`` is a compiler with options; without it, the C compiler of this machine.
+    """
     folder.mkdir(exist_ok=True)
     text = plr.c_header("here", compact)
     real = _name_of(_type_of(text))
@@ -94,7 +99,7 @@ def object_for_size(plr: PLR | NumpyPLR, folder: Path, compact: bool = False) ->
     (folder / "size.c").write_text(text + "".join(functions))
     compiled = folder / "size.o"
     options = ["-Os", "-fstack-usage", "-c", str(folder / "size.c"), "-o", str(compiled)]
-    subprocess.run([compiler(), *_C99, *options], check=True)
+    subprocess.run([*(command or [compiler()]), *_C99, *options], check=True)
     return compiled
 
 

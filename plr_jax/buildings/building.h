@@ -22,7 +22,7 @@ static inline float ${NAME}_distance(int floor, const $TYPE x[2])
         if (!(along >= ${NAME}_lo[floor][axis] && along <= ${NAME}_hi[floor][axis])) {
             return INFINITY;
         }
-        p[axis] = (float)(x[axis] + ${NAME}_shift[floor][axis]);
+        p[axis] = (float)((double)x[axis] + ${NAME}_shift[floor][axis]);
     }
     return ${NAME}_plane_distance(p);
 }

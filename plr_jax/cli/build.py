@@ -10,10 +10,12 @@ import typer
 
 import plr_jax
 from plr_jax.cli.app import command, fail_interrupted, warn
+from plr_jax.cli.files import cost_of
 from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, oracle_of, parse_goals
 
-_ERROR_POINTS = 20_000  # random free points at which the error is measured
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
+_ERROR_POINTS = 20_000  # random free points at which the error is measured
+_SMALL_BYTES = 32_768  # files that are not larger may go on a small machine, by compact headers
 _GOAL_OPTION = typer.Option("--goal", "-g", metavar="X,Y", show_default="the goal of a scene of one robot")
 
 
@@ -154,6 +156,9 @@ def build(
     typer.echo(f"error   {measured}")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")
+    typer.echo("in C    " + "\n        ".join(cost_of(content)))
+    if content.num_bytes <= _SMALL_BYTES:
+        typer.echo(f"compact {cost_of(content, compact=True)[0]}")
     if radius:
         # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
         typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")

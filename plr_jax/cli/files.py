@@ -203,7 +203,7 @@ def export(
     check_output(output, (".mjs", ".js") if js else (".h", ".hpp"), inputs=(file,))
     if js and compact:
         raise ValueError("--compact is for C headers: leave it out.")
-    content = plr_jax.load(file)
+    content, costs = plr_jax.load(file), []
     if hasattr(content, "window"):  # pairs of a grid: a header, and a file of tables beside it
         if js or goal or compact:
             reason = f"{file} holds pairs of cells of a grid, which become a C header for any goal"
@@ -220,9 +220,18 @@ def export(
             raise ValueError(f"{file} is a PLR of a building, which becomes {kinds}: not --js.")
         text = distance.js_module()
     else:
-        text = _distance_of(content, file, goal).c_header(output.stem, compact=compact)
+        distance = _distance_of(content, file, goal)
+        text, costs = distance.c_header(output.stem, compact=compact), cost_of(distance, compact)
     write_atomically(output, text.encode())
-    typer.echo(f"wrote {output}: {len(text):,} bytes of text")
+    typer.echo("\n        ".join([f"wrote {output}: {len(text):,} bytes of text", *costs]))
+
+
+def cost_of(content: Any, compact: bool = False) -> list[str]:
+    """Describe what the C header of a PLR takes, in flash and on the stack of a Cortex-M4, in a few lines."""
+    from plr_jax.plr.portable.c import cost_in_c
+
+    num_floors = len(content.floors.lo) if hasattr(content, "floors") else 0
+    return cost_in_c(getattr(content, "plane", content).to_bytes(), compact, num_floors)
 
 
 @command("plr-jax view maze.plr", "plr-jax view maze.plr maze -o page.html", "plr-jax view maze.pairs")

@@ -2,7 +2,8 @@ r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript
 
 The file format defines the arithmetic of a query. So the code in all these languages gives the same answers, bit for
 bit, as `plr.numpy()`, and as `plr(x)` on a CPU in 32 bits (except for numbers below 1e-38). NumPy takes batches of
-points; C and JavaScript take single points. The C code does not compute bounds.
+points; C and JavaScript take single points. The C code does not compute bounds. `plr_jax.load_numpy` reads a file as a
+`plr_jax.plr.NumpyPLR`, without JAX; a single point takes a few microseconds.
 
 ```python
 from pathlib import Path
@@ -14,19 +15,12 @@ oracle = plr_jax.VisibilityGraph(problem.workspace, problem.goals[0])
 plr = plr_jax.construct(oracle, problem.workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
 plr_jax.save(plr, "maze.plr")
 
+f = plr_jax.load_numpy("maze.plr")  # or plr.numpy()
+print(f((0.93, 0.95)), f.bounds((0.93, 0.95)), f.waypoint((0.93, 0.95)), f.max_error)
 Path("maze.h").write_text(plr.c_header("maze"))
 Path("small.h").write_text(plr.c_header("small", compact=True))
 Path("other.bin").write_bytes(plr.c_bytes())
 Path("maze.mjs").write_text(plr.js_module())
-```
-
-# NumPy
-
-`plr_jax.load_numpy` reads a file as a `plr_jax.plr.NumpyPLR`, without JAX. A single point takes a few microseconds.
-
-```python
-f = plr_jax.load_numpy("maze.plr")  # or plr.numpy()
-print(f((0.93, 0.95)), f.bounds((0.93, 0.95)), f.waypoint((0.93, 0.95)), f.max_error)
 ```
 
 # C and C++
@@ -34,10 +28,10 @@ print(f((0.93, 0.95)), f.bounds((0.93, 0.95)), f.waypoint((0.93, 0.95)), f.max_e
 The header is C99, also valid C++. It allocates nothing and calls no library function except `sqrtf`; compact headers
 also call `memcpy` and `memset`. It defines `float maze_distance(const float x[2])`, which is `INFINITY` outside the
 domain and NaN for NaN. For cones it also defines `void maze_waypoint(const float x[2], float waypoint[2])`: the point
-to go to next.
+to go to next. Other leaves have no waypoints: build with `leaf="cone"` or `--leaf cone`, for maps of polygons.
 
 In a domain far from the origin, such as UTM coordinates, `x` is `double`. Compile with `-ffp-contract=off`: fused
-operations would change the last bits.
+operations change the last bits. With `-m32`, x87 registers do, too: an `#error` asks for `-msse2 -mfpmath=sse`.
 
 ```c
 #include <stdio.h>
@@ -58,13 +52,26 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 
 ## Small machines
 
-In the plane, code and tables for a file of 4 KB are about 4 (planes), 6 to 8 (cones), 15 (continuous) or 44 (smooth)
-times as large as the file. `plr.c_header("maze", compact=True)`, or `plr-jax export --compact`, saves memory. Instead
-of tables, it writes encoded bytes, about 1.25 (planes), 2 to 2.5 (cones, continuous) or 3 (smooth) times the size of
-the file, and a decoder that all compact headers of a program share. The decoder takes 1 to 4 KB of code and up to
-1 KB of stack, a query 0.07 to 0.2 microseconds on a PC; smooth leaves need 4 KB of stack and 1.7 microseconds. Planes
-and smooth leaves are computed in double precision. The decoder can also query bytes that a robot receives. If
-`plr_jax_open` accepts damaged bytes, answers may be wrong, but no query reads outside of these bytes.
+`plr-jax build` and `export` print what the C code takes on a Cortex-M4; a comment in the header says it too. Typical
+values in the plane, to which tables without `compact=True` add 600 bytes of code and 100 of stack:
+
+| | plane | cone | continuous | smooth |
+| --- | --: | --: | --: | --: |
+| tables, times the size of the file | 4 | 7 | 15 | 45 |
+| the same with `compact=True` or `--compact` | 1.3 | 2.2 | 2.3 | 3 |
+| compact: bytes of code; of stack | 4,300; 600 | 1,400; 500 | 3,700; 800 | 6,500; 5,600 |
+
+For 16 KB of flash, use cones: a file of 2 KB as tables, or 6 KB compact. A compact query takes 0.07 to 0.2
+microseconds on a PC, for smooth leaves 1.7. Compact headers compute with doubles, except for cones.
+
+- `-fno-math-errno` makes `sqrtf` one instruction. Without it, a library may add 1 KB of memory.
+- Include a header in one source file only: each file that includes it gets tables of its own.
+- Without hardware for floats (Cortex-M0), add 4 KB of code, with doubles 9 KB. GCC for AVR copies tables to memory.
+- A waypoint is a corner or the goal. On a corner, it may be that corner: go one more step ahead, then ask again.
+- In small files, a wall may hide the waypoint: `--radius` grows obstacles by the robot's radius.
+
+Compact headers share a decoder, which can also query bytes that a robot receives. If `plr_jax_open` accepts damaged
+bytes, answers may be wrong, but no query reads outside of these bytes.
 
 ```c
 #include <stdio.h>
@@ -93,15 +100,11 @@ import { bounds, distance, waypoint } from "./maze.mjs";
 console.log(distance([0.93, 0.95]), bounds([0.93, 0.95]), waypoint([0.93, 0.95]));
 ```
 
-`plr_jax.plot.page(plr, problem.workspace).save("maze.html")` writes a complete page for a browser, which shows the
-distance and loads nothing.
-
 # Pairs
 
 The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use
 `pairs.to(goal)`, the distance to one goal. The header of a `plr_jax.GridPairs` defines
-`int32_t grid_steps(uint32_t from, uint32_t to)`. This function reads tables from a separate file, whose bytes are
-`header.table`.
+`int32_t grid_steps(uint32_t from, uint32_t to)`, which reads tables from a separate file, with bytes `header.table`.
 
 ```python
 import numpy as np
@@ -109,13 +112,10 @@ import numpy as np
 pairs = plr_jax.construct_pairs(problem.workspace, max_bytes=1024)
 Path("pairs.mjs").write_text(pairs.js_module())
 Path("to_goal.h").write_text(pairs.to((0.06, 0.07)).c_header("to_goal"))
-print(pairs.numpy()((0.93, 0.95), (0.06, 0.07)))
 
 grid = plr_jax.construct_grid_pairs(np.ones((8, 8), bool))
 header = grid.c_header("grid")
 Path("grid.h").write_text(header.text)
 Path("grid.tables").write_bytes(header.table)
 ```
-
-On the command line, `plr-jax export` writes all of these files: see `plr_jax.guides.command_line`.
 """

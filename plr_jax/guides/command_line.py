@@ -32,7 +32,8 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 - `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Both draw the walls of
   the map that the file was built from. If the file of the map has moved, name it: `--map scan.png` of `plot`, or the
   argument MAP of `view`. The map is read with the options that the PLR was built with.
-- `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
+- `export FILE` writes C99 (`--c`) or JavaScript (`--js`), and prints how much memory C code takes: see
+  `plr_jax.guides.c_and_javascript`.
 - `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
   is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes. Other
   heuristics and options are those of `bl_plan` in Python.

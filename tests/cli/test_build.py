@@ -32,6 +32,9 @@ def test_build_keeps_budget_and_prints_summary(path):
     largest, mean = map(float, re.search(r"error   max (\S+), mean (\S+) over", printed).groups())
     assert 0 < mean < largest <= plr.max_error
     assert "% of the largest distance" in printed and "s to build" in printed
+    for title, header in (("in C   ", plr.c_header("a")), ("compact", plr.c_header("a", compact=True))):
+        cost = re.search(rf"^{title} (On a Cortex-M4: .*)$", printed, re.MULTILINE)[1]
+        assert f"\n   {cost}\n   Functions: distance, waypoint.\n" in header
 
 
 def test_build_reads_pictures_with_options(path, tmp_path):
@@ -167,8 +170,10 @@ def test_buildings_are_built_and_queried_by_floor(path, tmp_path):
     assert rows[:, 3].tolist() == [2, -1, -1, -2, -2] and np.isnan(rows[3:, :3]).all()
     assert "BuildingPLR" in done("info", path)
     done("view", path, "-o", tmp_path / "home.html")
-    done("export", path, "-o", tmp_path / "home.h")
-    assert "home_distance(int floor" in (tmp_path / "home.h").read_text()
+    printed, header = done("export", path, "-o", tmp_path / "home.h"), (tmp_path / "home.h").read_text()
+    assert "home_distance(int floor" in header and printed.endswith("numbers.\n        Functions: distance.\n")
+    of_floors, of_plane = (re.search(r"On a Cortex-M4: (\S+) bytes", text)[1] for text in (printed, header))
+    assert int(of_floors.replace(",", "")) - int(of_plane.replace(",", "")) == 2 * 8 * 4  # 2 floors, 8 words each
     assert "3 numbers FLOOR,X,Y" in mistake("build", file, "-o", path, "--goal", "10,1")
     assert "must be an integer >= 0, got 0.5" in mistake("build", file, "-o", path, "--goal", "0.5,10,1")
     assert "read without options" in mistake("build", file, "-o", path, "--goal", "0,10,1", "--radius", 1)

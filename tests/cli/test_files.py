@@ -41,8 +41,14 @@ def test_export_writes_headers_and_modules(maze, tmp_path):
         (["--compact"], "small.h", plr.c_header("small", compact=True)),
         (["--js"], "maze.mjs", plr.js_module()),
     ):
-        assert "bytes of text" in done("export", maze, *options, "-o", tmp_path / name)
-        assert (tmp_path / name).read_text() == text
+        first, *costs = done("export", maze, *options, "-o", tmp_path / name).splitlines()
+        assert "bytes of text" in first and (tmp_path / name).read_text() == text
+        if "--js" in options:
+            assert costs == []
+            continue
+        assert all(line.strip() in text for line in costs[:2]) and costs[0].strip().startswith("On a Cortex-M4: ")
+        assert costs[0].endswith("; float and double numbers." if "--compact" in options else "; float numbers.")
+        assert "a waypoint needs leaf 'cone'" in costs[1] and "Estimate: " in costs[2] and len(costs) == 4
 
 
 def test_query_answers_pairs(pairs):
@@ -62,6 +68,8 @@ def test_pairs_are_plotted_and_exported(pairs, drawn, tmp_path):
     for path, kind in ((points, "distance"), (points, "error"), (grid, "distance")):
         done("plot", path, *to_goal, "--kind", kind, "-o", tmp_path / "a.png")
     assert drawn == [(*drawing, [0.1, 0.1]) for drawing in (("distance", 6), ("error", 6), ("distance", 0))]
+    printed = done("export", points, *to_goal, "--compact", "-o", tmp_path / "maze.h")
+    assert "; float numbers." in printed and printed.endswith("\n        Functions: distance, waypoint.\n")
     done("export", points, *to_goal, "-o", tmp_path / "maze.h")
     assert (tmp_path / "maze.h").read_text() == load(points).to((0.1, 0.1)).c_header("maze")
     done("export", points, "--js", "-o", tmp_path / "maze.mjs")

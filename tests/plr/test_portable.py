@@ -256,6 +256,13 @@ KINDS += ("straight lines", "estimate of planes")
 COMPACT = pytest.mark.parametrize("compact", [False, True], ids=["tables", "compact"])
 
 
+def cost_of(text):
+    """Return what a header says about itself: bytes of tables, code and stack, and the types of its numbers."""
+    said = r"On a Cortex-M4: (\S+) bytes of tables, at most (\S+) of code, (\S+) of stack; (.*) numbers\."
+    *limits, kinds = re.search(said, text).groups()
+    return [*(int(limit.replace(",", "")) for limit in limits), kinds]
+
+
 @pytest.mark.full
 @COMPACT
 @pytest.mark.parametrize("name", KINDS)
@@ -275,10 +282,49 @@ def test_c_headers_are_valid_and_small_and_answer_as_numpy(name, compact, tmp_pa
         compiled = object_for_size(plr, tmp_path, compact)
         sizes = section_bytes(compiled)
         assert 0 < sizes["code"] <= (4608 if compact else 2048) and stack_bytes(compiled) <= 4096
-        told = int(re.search(r"Compiled, its tables take ([\d,]+) bytes", text)[1].replace(",", ""))
-        assert told <= sizes["data"] <= told + 256  # with the constants of its code
+        tables, _, _, kinds = cost_of(text)
+        assert tables <= sizes["data"] <= tables + 256  # with the constants of its code
+        if kinds == "float" and shutil.which("objdump") is not None:
+            code = subprocess.run(["objdump", "-d", compiled], check=True, capture_output=True, text=True).stdout
+            assert "addss" in code and not re.search(r"\b(cvtss2sd|cvtps2pd|(add|sub|mul|div)sd)\b", code)
         missing = subprocess.run(["nm", "-u", compiled], check=True, capture_output=True, text=True).stdout
         assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_", *["memcpy", "memset"] * compact}
+
+
+ARM = ["arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+ARM += ["-fno-math-errno", "-ffunction-sections"]
+
+
+def stack_of_calls(graph):
+    """Return the bytes of stack of the longest chain of calls in what GCC writes for ``-fcallgraph-info=su``."""
+    frames = {name: int(size) for name, size in re.findall(r'title: "(\S+)" label: "\S+?\\n.*\\n(\d+) bytes', graph)}
+    calls = {name: set() for name in frames}
+    for caller, called in re.findall(r'sourcename: "(\S+)" targetname: "(\S+)"', graph):
+        calls[caller] |= {called} & frames.keys()
+
+    def deepest(name):  # the only recursion calls itself 8 times
+        below = max((deepest(other) for other in calls[name] - {name}), default=0)
+        return frames[name] * (9 if name in calls[name] else 1) + below
+
+    return max(map(deepest, frames))
+
+
+@pytest.mark.full
+@COMPACT
+@pytest.mark.parametrize("name", ["maze of cones", "maze of values", *KINDS])
+def test_c_headers_take_as_little_on_a_small_machine_as_they_say(name, compact, tmp_path):
+    if shutil.which(ARM[0]) is None:
+        pytest.skip("needs the cross compiler arm-none-eabi-gcc, with newlib")
+    compiled = object_for_size(case(name), tmp_path, compact, [*ARM, "-fcallgraph-info=su"])
+    tables, code, stack, kinds = cost_of(case(name).c_header("here", compact))
+    link = ["-nostartfiles", "--specs=nosys.specs", "-Wl,--gc-sections,-e,f", compiled.name, "-o", "linked", "-lm"]
+    link += ["-Wl,-u,g"] * (case(name).leaf.name == "cone")
+    subprocess.run([*ARM, *link], cwd=tmp_path, check=True, capture_output=True)
+    sizes = section_bytes(tmp_path / "linked")
+    assert tables <= sizes["code"] + sizes["data"] <= tables + code
+    assert stack_of_calls(compiled.with_suffix(".ci").read_text()) <= stack
+    symbols = subprocess.run(["nm", "linked"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert kinds == "float and double" or "__aeabi_dmul" not in symbols
 
 
 @pytest.mark.full

@@ -65,7 +65,7 @@ class LeafModel(ABC):
     is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
     splits_by_proven_error: bool = False  # whether, if certified, a tolerance limits proven errors, not sampled ones
-    has_compact_code: bool = False  # whether the decoder of compact C headers evaluates the model
+    decoder_cost: tuple[int, int] = (0, 0)  # bytes of code and stack in compact C headers; 0: no decoder
     num_powers: int = 0  # of each coordinate in a leaf's polynomial, the exponents from 0; 0: plane or cone
 
     @abstractmethod

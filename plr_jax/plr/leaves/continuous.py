@@ -356,14 +356,14 @@ class Continuous(PolynomialLeafModel):
     """
 
     order: int = 0
-    has_compact_code = True
 
     def __post_init__(self):
         if self.order not in (0, 1):
             raise ValueError(f"order must be 0 or 1, got {self.order!r}.")
         # In 3 dimensions, a corner of smooth leaves may hang on two leaves with different cubics.
         name, num_powers, max_dim = (("continuous", 2, MAX_TIED_DIM), ("smooth", 4, 2))[self.order]
-        set_fields(self, name=name, num_powers=num_powers, max_dim=max_dim)
+        decoder_cost = ((3_700, 800), (6_500, 5_600))[self.order]
+        set_fields(self, name=name, num_powers=num_powers, max_dim=max_dim, decoder_cost=decoder_cost)
 
     def min_samples(self, dim: int) -> int:
         return 2**dim + 1  # one more than corners, whose values determine a leaf's function

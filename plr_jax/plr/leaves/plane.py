@@ -242,7 +242,7 @@ class Plane(IndependentLeafModel):
     num_samples = 192
     least_bytes = 2
     has_exact_cone_bounds = True
-    has_compact_code = True
+    decoder_cost = 4_300, 600
 
     def halvings(self, cells: Cells) -> Int[np.ndarray, "leaves others"]:
         return cells.depth

@@ -4,8 +4,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from plr_jax.plr._file import decode
 from plr_jax.plr.leaves import Cone, code_of_leaf
-from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
+from plr_jax.plr.portable.arithmetic import CodedTree, LeafRows, Program, distinct_rows
 from plr_jax.plr.portable.compact import DECODER, compact_bytes
 from plr_jax.plr.portable.writers import Emitter, Expression, format_domain, indent, require_identifier, wrap_entries
 
@@ -15,6 +16,16 @@ _WHY = {
     "float": "only domains farther from 0 than 4 times their width need double",
     "double": "this domain is farther from 0 than 4 times its width, where float is too coarse",
 }
+# Bytes of code and of stack: upper limits of what GCC 12 gave with -Os -fno-math-errno for a Cortex-M4. Its doubles are
+# computed by library functions, which are counted. For compact headers, LeafModel.decoder_cost has these bytes.
+_TABLES_COST = (600, 100)  # with tables, in the plane
+_GENERAL_COST = (3_000, 250)  # added for more dimensions, periodic axes, mirrored points, and domains far from 0
+_FLOOR_BYTES = 32  # of tables, for each floor of a building
+# Estimates for cones, measured on four maps with files of 0.5 to 4 KB. Compared are files of the same size, but files
+# of planes of twice the size.
+_CONE_RATIO = {False: 7.4, True: 2.5}  # bytes of tables (False: plain, True: compact) a byte of a file of cones
+_CONE_ERROR = "Its mean error is smaller if all corners fit; to limit its largest error, give a tolerance."
+_WAYPOINT_ADVICE = "; a waypoint needs leaf 'cone', for maps of polygons"
 
 
 class CEmitter(Emitter):
@@ -52,6 +63,41 @@ def c_function(signature: str, statements: list[str]) -> list[str]:
     return [signature, "{", *indent(statements), "}", ""]
 
 
+def cost_in_c(data: bytes, compact: bool = False, num_floors: int = 0) -> list[str]:
+    """Describe what the C header of a PLR file needs, and estimate what it needs with cones; a list of lines.
+
+    ``data`` has the bytes of the file. If it is in the file of a building, ``num_floors`` is its number of floors.
+    """
+    program = Program(decode(data))
+    num_bytes = len(compact_bytes(program)) if compact else _tables(program)[2]
+    lines = _cost_lines(program, num_bytes + _FLOOR_BYTES * num_floors, compact, num_floors > 0)
+    if isinstance(program.leaf, Cone) or program.dim != 2 or program.domain.is_periodic:
+        return lines
+    cone_file = len(data) if program.leaf.num_powers else len(data) // 2
+    estimate = f"in a file of {cone_file:,} bytes takes about {round(_CONE_RATIO[compact] * cone_file, -2):,.0f}"
+    return [*lines, f"Estimate: on maps of polygons, leaf 'cone' {estimate} bytes of tables.", _CONE_ERROR]
+
+
+def _cost_lines(program: Program, tables: int, compact: bool, is_building: bool = False) -> list[str]:
+    """Describe what a header with ``tables`` bytes of tables needs, then which functions it has."""
+    is_cone, is_far = isinstance(program.leaf, Cone), program.corner is not None
+    is_special = is_far or program.domain.is_periodic or program.folding_arrays or program.straight
+    added = _GENERAL_COST if program.dim > 2 or is_special else (0, 0)
+    code, stack = np.add(program.leaf.decoder_cost if compact else _TABLES_COST, added)
+    kinds = "float and double" if is_far or is_building or (compact and not is_cone) else "float"
+    return [
+        f"On a Cortex-M4: {tables:,} bytes of tables, at most {code:,} of code, {stack:,} of stack; {kinds} numbers.",
+        f"Functions: distance{'' if is_building else ', waypoint' if is_cone else _WAYPOINT_ADVICE}.",
+    ]
+
+
+def _tables(program: Program) -> tuple[LeafRows, CodedTree, int]:
+    """Return the tables of a header, distinct rows of leaf parameters and the tree, and the bytes that they take."""
+    rows, row_of_leaf = distinct_rows(program.leaf_parameters)
+    tree = CodedTree(program.contents.tree, row_of_leaf)
+    return rows, tree, 4 * rows.size + tree.code_type.itemsize * tree.children.size
+
+
 def c_header(program: Program, name: str) -> str:
     """Return a C header with the tables of a PLR and the functions that answer queries; see :meth:`PLR.c_header`.
 
@@ -60,25 +106,23 @@ def c_header(program: Program, name: str) -> str:
     require_identifier(name)
     dim, leaf = program.dim, program.leaf
     of_type = "float" if program.corner is None else "double"  # of coordinates
-    rows, row_of_leaf = distinct_rows(program.leaf_parameters)
-    tree = CodedTree(program.contents.tree, row_of_leaf)
+    rows, tree, table_bytes = _tables(program)
     has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_cell_relative
     # 1. Description and includes.
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
-    table_bytes = 4 * rows.size + tree.code_type.itemsize * tree.children.size
     introduction = [
         f"#ifndef {guard}",
         f"#define {guard}",
-        f"/* Distance to a goal, generated by plr_jax: {len(row_of_leaf)} leaves of type {leaf.name!r}.",
+        f"/* Distance to a goal, generated by plr_jax: {len(program.leaf_parameters)} leaves of type {leaf.name!r}.",
         "",
         f"   {name}_distance: distance to the goal from a point of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
         *[f"   {name}_waypoint: next waypoint on the way to the goal; NaN outside the domain."] * is_sourced,
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
-        f"   Compiled, its tables take {table_bytes:,} bytes, and its code a few hundred.",
+        *(f"   {line}" for line in _cost_lines(program, table_bytes, compact=False)),
         "",
-        "   Results equal those of plr.numpy() bit for bit if no operations are fused: compile with",
-        "   -ffp-contract=off, as GCC otherwise fuses some on processors that can. */",
+        "   Results equal those of plr.numpy() bit for bit if compiled with -ffp-contract=off: GCC otherwise fuses",
+        "   operations on some processors. With -fno-math-errno, GCC may need no library for sqrtf. */",
         "",
         "#include <float.h>",
         "#include <math.h>",
@@ -87,6 +131,7 @@ def c_header(program: Program, name: str) -> str:
         "#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0",
         '#error "floats must be evaluated as floats: on 32-bit x86, compile with -msse2 -mfpmath=sse"',
         "#endif",
+        *["#if DBL_MANT_DIG != 53", '#error "doubles must have 64 bits"', "#endif"] * (of_type == "double"),
         "#if defined(__clang__)",
         "#pragma STDC FP_CONTRACT OFF",
         "#endif",
@@ -144,6 +189,7 @@ def c_header(program: Program, name: str) -> str:
         do = CEmitter(name)
         outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
         _, numbers = do.write_lookup(program, of_type, read_leaf, outside)
+        numbers = [do.atom(f"(double){n}", of_type) for n in numbers] if of_type == "double" else numbers
         do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
         signature = f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])"
         functions += c_function(signature, do.used_statements())
@@ -195,8 +241,8 @@ def compact_header(program: Program, name: str) -> str:
         f" {program.leaf.name!r}, from a point",
         f"   of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
-        f"   Coordinates are {of_type}: {_WHY[of_type]}.",
-        f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,608. */",
+        *(f"   {line}" for line in _cost_lines(program, len(data), compact=True)),
+        f"   Coordinates are {of_type}: {_WHY[of_type]}. */",
         f"static inline float {name}_distance(const {of_type} x[{dim}])",
         "{",
         f"    return plr_jax_distance{far}_of(&{name}_plr, x, {' | '.join(features)});",

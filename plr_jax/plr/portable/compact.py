@@ -66,7 +66,7 @@ def compact_bytes(program: Program) -> bytes:
     ``ValueError`` if the decoder does not support the leaf model.
     """
     leaf, contents = program.leaf, program.contents
-    if not leaf.has_compact_code:
+    if not leaf.decoder_cost[0]:
         raise ValueError(f"The compact decoder does not know leaves of kind {leaf.name!r}: use compact=False.")
     choices = [_CompactWriter(program).with_rows()]
     if isinstance(leaf, Plane) and contents.stored.bits < _FLOAT_BITS:

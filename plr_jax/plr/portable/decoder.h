@@ -7,7 +7,8 @@
    The decoder allocates nothing and keeps no state. It calls only memcpy, memset and sqrtf. A query never reads beyond
    the end of bytes that plr_jax_open accepts, whatever they hold. Points have at most PLR_JAX_MAX_DIM coordinates.
 
-   Answers equal those of plr.numpy() bit for bit if no operations are fused: compile with -ffp-contract=off. */
+   Answers equal those of plr.numpy() bit for bit if no operations are fused: compile with -ffp-contract=off. With
+   -fno-math-errno, GCC may need no library for sqrtf. */
 #ifndef PLR_JAX_DECODER_H
 #define PLR_JAX_DECODER_H
 
@@ -869,7 +870,7 @@ static inline void plr_jax_waypoint_far(const struct plr_jax *f, const double *x
     plr_jax_place_far(f, x, z, dim);
     is_inside = plr_jax_model(f) == PLR_JAX_CONE && plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
     for (axis = 0; axis < dim; ++axis) {
-        waypoint[axis] = is_inside ? plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO) + (double)n[1u + axis] : NAN;
+        waypoint[axis] = is_inside ? plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO) + (double)n[1u + axis] : (double)NAN;
     }
 }
 

@@ -39,7 +39,7 @@ class Cone(LeafModel):
     has_deep_trees = True
     has_exact_cone_bounds = True
     splits_by_proven_error = True
-    has_compact_code = True
+    decoder_cost = 1_400, 500
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         return num_leaves // 2 + 256  # the constant is for some tens of sources
