@@ -70,11 +70,17 @@ class Release:
         return timed(lambda: plr_jax.cost_distance(costs, sources).distance)
 
     def plan(self, scene: str, size: Any, seed: int, is_first: bool) -> Answer:
-        """Plan on a map that is new to the planner; ``is_first`` stops at the first path."""
-        problem = plr_jax.scenes.perturbed(getattr(plr_jax.scenes, scene)(*size), seed)
+        """Plan on a new map, from its obstacles to the path; ``is_first`` stops at the first path."""
+        team = plr_jax.scenes.perturbed(getattr(plr_jax.scenes, scene)(*size), seed)
+        bounds, obstacles, squeeze = team.workspace.bounds, team.workspace.obstacles, team.workspace.squeeze
         options = plr_jax.BLOptions(cost_factor=1e9) if is_first else plr_jax.BLOptions()
-        seconds, solution = timed(lambda: plr_jax.bl_plan(problem, None, options))
-        return seconds, solution.path
+
+        def planned() -> np.ndarray:
+            workspace = plr_jax.Workspace(bounds, obstacles, squeeze=squeeze)
+            problem = plr_jax.Problem(workspace, team.robots, team.starts, team.goals, team.rotation_weight)
+            return plr_jax.bl_plan(problem, None, options).path
+
+        return timed(planned)
 
 
 def _floor_plan() -> tuple[Any, Any]:
