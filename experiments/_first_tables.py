@@ -46,6 +46,22 @@ def cost_distance(
     )
 
 
+def row_of(entry: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a number of a release, empty if its entry was made before the number was."""
+    return next((row for row in entry["numbers"] if row["number"] == name), {})
+
+
+def history(results: dict[str, Any]) -> str:
+    """Return the ratios of the latest releases, one row for each number."""
+    latest = dict(list(results["entries"].items())[-4:])
+    rows = [["number", "in brackets", *latest]]
+    for name, number in results["numbers"].items():
+        found = [row_of(entry, name) for entry in latest.values()]
+        cells = [f"{row['ratio']:.2g} ({row['beside']:.2g})" if row.get("ratio") else "-" for row in found]
+        rows.append([number["what"], number["beside"], *cells])
+    return markdown(rows, numbers=len(latest))
+
+
 def rasters(slopes: dict[str, Any], degrees: dict[str, Any], rivals: dict[str, Any], classes: dict[str, Any]) -> str:
     """Return errors of cost distances beside independent truths: slopes, degrees, other tools, land classes."""
     hike, globe, land = (part["rows"] for part in (slopes, degrees, classes))

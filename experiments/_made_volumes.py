@@ -1,10 +1,7 @@
-"""Volumes made from a seed: which voxels are free, in arrays, and in files as the Moving AI benchmarks have them."""
-
-from pathlib import Path
+"""Volumes made from a seed: arrays that say which voxels are free."""
 
 import numpy as np
 from jaxtyping import Bool, Int
-from scipy import ndimage
 
 Volume = Bool[np.ndarray, "nx ny nz"]
 
@@ -41,22 +38,10 @@ def spiral(size: int, pitch: int) -> Volume:
     return (from_axis > size / 10) & (from_axis < size / 2) & (height % pitch > 3)
 
 
-def sheets(rng: np.random.Generator, shape: tuple[int, int, int], width: float) -> Volume:
-    """Winding walls of caves, where smoothed noise is nearly zero, with holes where other noise is high."""
-    noise, holes = (ndimage.gaussian_filter(rng.normal(size=shape), width) for _ in range(2))
-    return (np.abs(noise) > 0.05 * noise.std()) | (holes > 0.8 * holes.std())
-
-
 def first_free(free: Volume) -> Int[np.ndarray, "3"]:
     """The free voxel that is nearest to the lower corner."""
     voxels = np.argwhere(free)
     return voxels[voxels.sum(axis=1).argmin()]
-
-
-def write_3dmap(path: Path, free: Volume) -> None:
-    """Write a volume as a list of its blocked voxels."""
-    lines = ["voxel {} {} {}".format(*free.shape), *(f"{x} {y} {z}" for x, y, z in np.argwhere(~free).tolist())]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
 def _part(begin: Int[np.ndarray, "3"], width: Int[np.ndarray, "3"]) -> tuple[slice, ...]:

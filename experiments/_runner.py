@@ -38,7 +38,13 @@ class Section(NamedTuple):
     draw: Draw = no_pictures
 
 
-def run(name: str, purpose: str | None, measured: Compute | Mapping[str, Section], draw: Draw = no_pictures) -> None:
+def run(
+    name: str,
+    purpose: str | None,
+    measured: Compute | Mapping[str, Section],
+    draw: Draw = no_pictures,
+    options: argparse.ArgumentParser | None = None,
+) -> None:
     """Run one experiment from the command line: measure, write ``<name>.json``, draw from that file alone.
 
     Args:
@@ -48,10 +54,11 @@ def run(name: str, purpose: str | None, measured: Compute | Mapping[str, Section
             functions. Each section is written as soon as it is measured; ``--only`` selects some.
         draw: Takes the results as read back and the output folder; returns the pictures it wrote. Sections have
             their own.
+        options: A parser, without ``--help``, of more options, which ``measured`` reads.
     """
     is_divided = isinstance(measured, Mapping)
     sections = measured if is_divided else {WHOLE: Section(measured, draw)}
-    arguments = _arguments(name, purpose, list(sections))
+    arguments = _arguments(name, purpose, list(sections), options)
     output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
     commit, today = commit_of_code(), date.today().isoformat()
     parts = () if arguments.draw else arguments.only or sections
@@ -66,7 +73,7 @@ def run(name: str, purpose: str | None, measured: Compute | Mapping[str, Section
         if is_kept and any(old[key] != value for key, value in setting.items()):
             raise SystemExit(f"Other sections have another --seed or --smoke: see {output}/{name}.json.")
         results = {**old["results"], part: found}
-        record = {"experiment": name, **setting, **_environment()}
+        record = {"experiment": name, **setting, **environment()}
         record["measured"] = {**old["measured"], part: about}
         record["results"] = {each: results[each] for each in sections if each in results} if is_divided else found
         print(f"wrote {write(output, name, record)}")
@@ -77,8 +84,11 @@ def run(name: str, purpose: str | None, measured: Compute | Mapping[str, Section
             print(f"wrote {path}")
 
 
-def _arguments(name: str, purpose: str | None, sections: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
+def _arguments(
+    name: str, purpose: str | None, sections: list[str], options: argparse.ArgumentParser | None
+) -> argparse.Namespace:
+    parents = [options] if options else []
+    parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose, parents=parents)
     parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     parser.add_argument("--draw", action="store_true", help="measure nothing; draw from the results file")
@@ -98,7 +108,7 @@ def commit_of_code() -> str:
     return commit.stdout.strip() + ("+" if changed else "") if commit.returncode == 0 else "unknown"
 
 
-def _environment() -> dict[str, Any]:
+def environment() -> dict[str, Any]:
     """Return versions, device, number of cores and number types."""
     import jax
 

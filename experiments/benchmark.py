@@ -6,13 +6,12 @@ measures sections again and keeps the others as they are. What a section compare
 """
 
 from experiments._runner import Section, run
-from experiments.benchmarks import _accuracy, _growth, _oracle, _query
+from experiments.benchmarks import _accuracy, _oracle, _query
 
 SECTIONS = {
     "query": Section(_query.measure, _query.draw),
     "accuracy": Section(_accuracy.measure, _accuracy.draw),
     "oracle": Section(_oracle.measure),
-    "growth": Section(_growth.measure, _growth.draw),
 }
 
 if __name__ == "__main__":

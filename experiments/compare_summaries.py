@@ -12,11 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from experiments._runner import Section, run
+from experiments.benchmarks._timing import interleaved
 from experiments.summaries import _fastmap, _landmarks, _network, _node_tables
 from experiments.summaries._given import (
     Candidates,
@@ -36,7 +36,7 @@ MAX_BYTES = {"maze": 1_024, "arena": 32_768, "den312d": 65_536, "den520d": 1_200
 _SMOKE_MAP = "maze"
 TOLERANCE = 1e-4  # of the mean distance, by which an answer is below or above the truth
 _FAST_PAIRS, _SLOW_PAIRS = 1_000_000, 20_000
-_TIMED_SECONDS, _MOST_CALLS = 5.0, 15
+_TURNS, _SECONDS_A_TURN = 5, 0.1
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ class OnMap:
         summary = made.pop("summary")
         x, y = (jnp.asarray(end, jnp.float32) if self.compiled else end for end in (test.x, test.y))
         row = made | {"bytes": int(summary.num_bytes)} | errors(_answers(summary, test), test.distance)
-        row["nanoseconds"] = 1e9 * _seconds(lambda: summary(x, y)) / len(test.x)
+        seconds = interleaved({"": lambda: summary(x, y)}, _TURNS, _SECONDS_A_TURN)[""]
+        row["nanoseconds"] = 1e9 * seconds.median / len(test.x)
         if listed is not None:
             relative = np.abs(_answers(summary, listed) / listed.distance - 1)
             row["published"] = {"mean": float(relative.mean()), "max": float(relative.max())}
@@ -103,16 +104,6 @@ def errors(answer: np.ndarray, distance: np.ndarray) -> dict[str, float]:
         "below": float((error < -TOLERANCE * mean).mean()),
         "above": float((error > TOLERANCE * mean).mean()),
     }
-
-
-def _seconds(call: Callable[[], Any]) -> float:
-    """Median of warm calls, one if that takes long."""
-    times: list[float] = []
-    while not times or (sum(times) < _TIMED_SECONDS and len(times) < _MOST_CALLS):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - begun)
-    return float(np.median(times))
 
 
 # Our file of all pairs: ``construct_pairs``.

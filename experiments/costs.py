@@ -1,8 +1,5 @@
 """Costs that vary from place to place: estimates and proven bounds beside second-order fast marching of scikit-fmm.
 
-``details`` are what grids miss: rivers and roads one cell wide at ratios from 3 to 255, a bar with a gap, and layers
-in space, beside scikit-fmm over the cells of the raster, of which the PLR has as many leaves.
-
 Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. Errors of fast marching are
 proportional to the step. So the truth is extrapolated from marches of 3,201 x 1,601 nodes and of half as many along
 each axis; how far it may be off is told by the truth from half and a quarter as many. In ``estimates``, scikit-fmm
@@ -211,67 +208,7 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def _details() -> dict[str, tuple[RasterCost, Points]]:
-    """Rasters whose details are one cell wide, and goals in the middle of cells."""
-    made = {}
-    for ratio in (3.0, 20.0, 255.0):
-        for name, line, beside in (("river", ratio, 1.0), ("road", 1.0, ratio)):
-            values = np.full((45, 60), beside)
-            values[20, :50] = line
-            values[20:, 35] = line
-            made[f"{name} {ratio:g}"] = values, (10.5, 30.5)
-    bar = np.ones((45, 60))
-    bar[20, :50] = np.inf
-    made["bar"] = bar, (10.5, 30.5)
-    layers = np.repeat([1.0, 0.7, 0.8, 0.5, 0.3], 4)[:, None, None] * np.ones((20, 20, 20))
-    made["layers"] = layers, (10.5, 10.5, 2.5)
-    return {
-        name: (RasterCost(values, (np.zeros(values.ndim), values.shape[::-1]), "nearest"), np.array(goal))
-        for name, (values, goal) in made.items()
-    }
-
-
-def _over_cells(cost: RasterCost, goal: Points, parts: int) -> Distance:
-    """The cost-to-go by scikit-fmm over the cells of a raster, cut into an odd number of parts along each axis."""
-    values, dim = cost.values.T, cost.dim
-    for axis in range(dim):
-        values = values.repeat(parts, axis)
-    centers = [(np.arange(n) + 0.5) / parts for n in values.shape]
-    from_goal = np.linalg.norm(np.stack(np.meshgrid(*centers, indexing="ij"), -1) - goal, axis=-1)
-    radius, at_goal = 1.5 / parts, float(cost(goal[None])[0])
-    blocked = np.isinf(values)
-    front = np.ma.MaskedArray(from_goal - radius, blocked)
-    time: Any = skfmm.travel_time(front, 1 / np.where(blocked, 1.0, values), dx=1 / parts, order=2)
-    found = np.where(from_goal < radius, from_goal * at_goal, np.ma.filled(time, np.nan) + radius * at_goal)
-    extrapolate: Any = None
-    return RegularGridInterpolator(centers, found, bounds_error=False, fill_value=extrapolate)
-
-
-def details(seed: int, smoke: bool) -> dict[str, Any]:
-    rows, rng = [], np.random.default_rng(seed)
-    for name, (cost, goal) in list(_details().items())[:: 6 if smoke else 1]:
-        parts = 27 if cost.dim == 2 and not smoke else 9
-        x = rng.random((POINTS, cost.dim)) * cost.domain.hi
-        fine, third, ninth = (_over_cells(cost, goal, parts // each)(x) for each in (1, 3, 9))
-        truth, other = fine + (fine - third) / 2, third + (third - ninth) / 2
-        x, truth, other = (each[np.isfinite(truth)] for each in (x, truth, other))
-        plr = solve_eikonal(cost.space(), goal, cost_map=cost, max_leaves=cost.values.size, certified=False)
-        found, rival = np.asarray(plr(x), float), _over_cells(cost, goal, 1)(x)
-        rows.append(
-            {
-                "map": name,
-                "leaves": plr.num_leaves,
-                "error": relative_error(found, truth),
-                "largest": float(np.nanmax(np.abs(found - truth)) / truth.mean()),
-                "its error": relative_error(rival, truth),
-                "its largest": float(np.nanmax(np.abs(rival - truth)) / truth.mean()),
-                "of the truth": relative_error(other, truth),
-            }
-        )
-    return {"rows": rows}
-
-
-SECTIONS = {each.__name__: Section(each) for each in (estimates, equal_seconds, details, bounds)}
+SECTIONS = {each.__name__: Section(each) for each in (estimates, equal_seconds, bounds)}
 
 if __name__ == "__main__":
     run("costs", __doc__, SECTIONS)

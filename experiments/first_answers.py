@@ -29,6 +29,7 @@ from experiments.costs import BOUNDS, GOAL, WALL, converged, rasters
 from plr_jax import PlaneSpace, VisibilityGraph, Workspace, construct, construct_many, construct_pairs, scenes
 
 NUM_QUERIES, TURNS = 1_000, 3
+ROOT = Path(__file__).parents[1]
 FAMILY, NUM_SINGLE, NUM_PAIRS = 100, 300, 100_000
 
 
@@ -217,7 +218,7 @@ def fresh(seed: int, smoke: bool) -> dict[str, Any]:
             if python is None:
                 print(f"{task.by}: skipped, {RIVALS_PYTHON} names no Python that has it")
                 continue
-            runs = [_run(python, task.program, path) for _ in range(1 if smoke else TURNS)]
+            runs = [run_fresh(python, task.program, path) for _ in range(1 if smoke else TURNS)]
             true = truth[task.question].ravel()
             known = np.isfinite(true) & (true > 0)
             errors = relative_errors(np.ravel(runs[0][1])[known], true[known])
@@ -263,8 +264,8 @@ def _questions(seed: int, smoke: bool) -> tuple[dict[str, Any], dict[str, np.nda
     return {**lists, "polygons": polygons_of(problem.workspace, oracle.goal)}, truth
 
 
-def _run(python: str, program: str, given: Path) -> tuple[float, np.ndarray]:
-    """Run a program in a new process; return its CPU seconds and what it found."""
+def run_fresh(python: str, program: str, given: Path, folder: Path = ROOT) -> tuple[float, np.ndarray]:
+    """Run a program in a new process, which imports the package of a folder; return its CPU seconds and results."""
     begun = _cpu_of_children()
     # Bytecode is kept, as for users; compiled programs are not.
     absent = "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE"
@@ -274,7 +275,7 @@ def _run(python: str, program: str, given: Path) -> tuple[float, np.ndarray]:
         capture_output=True,
         text=True,
         env=environment,
-        cwd=Path(__file__).parents[1],
+        cwd=folder,
         check=False,
     )
     if ran.returncode != 0:

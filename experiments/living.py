@@ -1,15 +1,8 @@
 """Maps that change: oracles kept up to date, and oracles and certified cones built anew.
 
-``maps``: 100 changes, one after the other, of each map. About half of them take an earlier box away, 35 % set a box
-of 1 to 3 % of the width down at a random free place, 15 % close a doorway (a box across free space between two walls,
-where that is narrowest of several places). Told are medians of the CPU seconds of all cores that the changed map and
-its oracle take, and of an oracle and cones that are built anew every tenth time. The error is the mean error of the
-last cones at random free points, a tenth of them around what has changed since the cones before, as a share of the
-mean distance.
-
 ``rivals``: boxes of cells of den520d that are blocked and freed, one after the other, beside the grid searches that
-repair what they found, for one start, and scikit-fmm, which marches again. Our time is that of the oracle; the change
-of the workspace before it is not in it.
+repair what they found, for one start, and scikit-fmm, which marches again. Seconds are CPU seconds. Ours are those of
+the changed oracle, without the change of the workspace before it, and of an oracle and certified cones built anew.
 
 ``doors``: three doorways of the floor plan close and open, one after the other: a film of cones of 2 KB and paths.
 """
@@ -27,55 +20,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiments._measures import relative_error, timed
+from experiments._measures import timed
 from experiments._runner import Section, run
 from experiments.baselines.incremental import incremental_planners, replanned
 from experiments.benchmarks._maps import load_map, load_maps
 from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, plot, trace
 
-MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
-CHANGES, EVERY, POINTS, BOXES = 100, 10, 1_000_000, 20
-_TRIED = 40  # places of a doorway
+BYTES, BOXES = 8_192, 20
 
 Points = Float[np.ndarray, "n 2"]
-
-
-def maps(seed: int, smoke: bool) -> dict[str, Any]:
-    found = load_maps(MAPS[:1] if smoke else MAPS)
-    return {"bytes": BYTES, "rows": [_changed(name, *each, seed, smoke) for name, each in found.items()]}
-
-
-def _changed(name: str, workspace: Workspace, goal: Points, seed: int, smoke: bool) -> dict[str, Any]:
-    rng, num_bytes = np.random.default_rng(seed), 1_024 if smoke else BYTES
-    oracle = VisibilityGraph(workspace, goal)
-    made: list[int] = []
-    seconds: dict[str, list[float]] = {"workspace": [], "oracle": [], "anew": []}
-    around, error = [], np.nan
-    for step in range(1, (2 if smoke else CHANGES) + 1):
-        change = _change(rng, oracle, made)
-        around += change.get("add", [workspace.obstacles[i] for i in change.get("remove", ())])
-        before, first = oracle, len(workspace.obstacles)
-        took, workspace = timed(lambda change=change, workspace=workspace: workspace.with_obstacles(**change))
-        seconds["workspace"].append(took)
-        took, oracle = timed(lambda before=before, workspace=workspace: before.with_workspace(workspace))
-        seconds["oracle"].append(took)
-        made = [i for i in made if i not in change.get("remove", ())] + list(range(first, len(workspace.obstacles)))
-        if step % (1 if smoke else EVERY) == 0:
-            took, (truth, plr) = timed(lambda workspace=workspace: _anew(workspace, goal, num_bytes))
-            seconds["anew"].append(took)
-            x = _points(rng, workspace, around, 1_000 if smoke else POINTS)
-            distance = truth(x)
-            x, distance = x[np.isfinite(distance)], distance[np.isfinite(distance)]
-            error, around = relative_error(np.asarray(plr(x), float), distance), []
-    medians = {f"ms of the {key}": 1e3 * float(np.median(each)) for key, each in seconds.items() if key != "anew"}
-    return {
-        "map": name,
-        "vertices": len(workspace.boundary.vertices),
-        "changes": len(seconds["oracle"]),
-        **medians,
-        "ms anew": 1e3 * float(np.median(seconds["anew"])),
-        "error, built anew": error,
-    }
 
 
 def _anew(workspace: Workspace, goal: Points, num_bytes: int) -> tuple[VisibilityGraph, PLR]:
@@ -84,24 +37,7 @@ def _anew(workspace: Workspace, goal: Points, num_bytes: int) -> tuple[Visibilit
     return oracle, construct(oracle, workspace.bounds, leaf="cone", max_bytes=num_bytes, certified=True)
 
 
-def _change(rng: np.random.Generator, oracle: VisibilityGraph, made: list[int]) -> dict[str, Any]:
-    """A box set down or taken away, or a doorway closed."""
-    kind, goal = rng.random(), shapely.Point(oracle.goal)
-    if made and kind < 0.5:
-        return {"remove": [int(rng.choice(made))]}
-    while True:
-        box = _doorway(rng, oracle.workspace) if kind > 0.85 else _box(rng, oracle.workspace)
-        if not box.intersects(goal):
-            return {"add": [box]}
-
-
-def _box(rng: np.random.Generator, workspace: Workspace) -> shapely.Polygon:
-    center = workspace.sample_free(1, int(rng.integers(2**31)))[0]
-    half = workspace.bounds.width.max() * rng.uniform(0.01, 0.03, 2) / 2
-    return shapely.box(*(center - half), *(center + half))
-
-
-def _doorway(rng: np.random.Generator, workspace: Workspace, tried: int = _TRIED) -> shapely.Polygon:
+def _doorway(rng: np.random.Generator, workspace: Workspace, tried: int) -> shapely.Polygon:
     """A box that reaches from wall to wall, at the narrowest of some places."""
     center = workspace.sample_free(tried, int(rng.integers(2**31)))
     reach, thin, lines = workspace.bounds.width.max(), 0.002 * workspace.bounds.width.max(), []
@@ -116,16 +52,6 @@ def _doorway(rng: np.random.Generator, workspace: Workspace, tried: int = _TRIED
     narrowest = min(lines, key=lambda line: line.length)
     (x0, y0), (x1, y1) = np.array(narrowest.bounds).reshape(2, 2) + thin * np.array([[-1], [1]])
     return shapely.box(x0, y0, x1, y1)
-
-
-def _points(rng: np.random.Generator, workspace: Workspace, around: list[Any], num: int) -> Points:
-    """Random free points, a tenth of them around polygons."""
-    x = [workspace.sample_free(num - num // 10, int(rng.integers(2**31)))]
-    for polygon in around:
-        lo, hi = np.array(polygon.bounds).reshape(2, 2)
-        near = lo - 0.5 * (hi - lo) + 2 * (hi - lo) * rng.random((num // (10 * len(around)), 2))
-        x.append(near[workspace.is_free(near)])
-    return np.concatenate(x)
 
 
 RIVALS_MAP, LONGEST = "den520d", 0.03
@@ -274,7 +200,6 @@ def draw_doors(results: dict[str, Any], output: Path) -> list[Path]:
 
 
 SECTIONS = {
-    "maps": Section(maps),
     "rivals": Section(rivals),
     "doors": Section(doors, draw_doors),
 }

@@ -146,6 +146,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "sba_star": (uses.sba_star, "sba_star"),
     "teams": (uses.teams, "teams"),
     "pedestrians": (uses.pedestrians, "pedestrians", "hard_points"),
+    "history": (first.history, "history"),
     "scale": (uses.scale, "scale"),
 }
 

@@ -2,21 +2,13 @@
 
 ``volumes``: rooms, boxes and a spiral ramp. The truth are paths of ``VoxelGraph(moves=26)``, pulled taut at any
 angle (``_taut_paths.py``). Broken is a lower bound above one of these, and an upper bound below the lower one or the
-straight line. ``files``: larger ones, from files as the Moving AI benchmarks have them; bounds are beside exact
-lengths of 26 moves, which are above the truth (by how much, ``volumes`` tells of its own). Peak memory is that of a
-process that does nothing else, with Python and JAX in it.
+straight line.
 
 Lengths are in voxels; errors and gaps are means, as shares of the mean truth. Seconds are of all cores: of certified
 PLRs with what is compiled for them, of estimates alone those of a second call, and of scikit-fmm with what prepares
 the march.
 """
 
-import json
-import subprocess
-import sys
-import tempfile
-import time
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -24,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from experiments._made_volumes import Volume, boxes, first_free, rooms, sheets, spiral, write_3dmap
-from experiments._measures import peak_megabytes, relative_error, timed
+from experiments._made_volumes import Volume, boxes, first_free, rooms, spiral
+from experiments._measures import relative_error, timed
 from experiments._runner import Section, run
 from experiments._taut_paths import taut_paths
 from experiments.solving._rivals import marched
-from plr_jax import PLR, VoxelGraph, VoxelSpace, load, save, scenes, solve_eikonal
+from plr_jax import PLR, VoxelGraph, VoxelSpace, solve_eikonal
 
-POINTS, LENGTHS, QUERIES = 2_000, 10_000, 1_000_000
+POINTS, QUERIES = 2_000, 1_000_000
 LEAVES, BYTES = 21_000, 32_768  # of volumes, in about 64 KiB; the bytes are those of estimates alone
 CERTIFIED = (True, False)
 _ROUNDING = 1e-6
@@ -98,68 +90,13 @@ def _bounds(plr: PLR, x: Points, truth: Float[np.ndarray, " n"], goal: Float[np.
     }
 
 
-def files(seed: int, smoke: bool) -> dict[str, Any]:
-    rng = np.random.default_rng(seed)
-    if smoke:
-        made = {"boxes": boxes(rng, (24, 16, 16), 8, 3, 8)}
-    else:
-        made = {
-            "caves": sheets(rng, (256, 256, 128), 8),
-            "rooms": rooms(rng, (256, 256, 64), 32, 0.6),
-            "boxes": boxes(rng, (400, 300, 200), 230, 5, 18),
-        }
-    return {"rows": [_file(name, free, seed, smoke) for name, free in made.items()]}
-
-
-def _file(name: str, free: Volume, seed: int, smoke: bool) -> dict[str, Any]:
-    goal = first_free(free) + 0.5
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "volume.3dmap"
-        write_3dmap(path, free)
-        code = (
-            f"from experiments.volumes import built; built({str(path)!r}, {goal.tolist()}, {300 if smoke else None})"
-        )
-        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-        num_bytes, plr = path.stat().st_size, load(path.with_suffix(".plr"))
-    began = time.process_time()
-    graph = VoxelGraph(free, goal)
-    x = _reached(graph, 200 if smoke else LENGTHS, np.random.default_rng(seed))
-    length = graph(x)
-    of_graph = time.process_time() - began
-    lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
-    known = np.isfinite(upper)
-    return {
-        "volume": name,
-        "voxels": " x ".join(map(str, free.shape)),
-        "bytes of the volume": num_bytes,
-        **json.loads(done.stdout.splitlines()[-1]),
-        "bytes": plr.num_bytes,
-        "lengths": len(x),
-        "mean length": float(length.mean()),
-        "lower > length": int(np.count_nonzero(lower > (1 + _ROUNDING) * length)),
-        "upper > length": int(np.count_nonzero(upper > (1 + _ROUNDING) * length)),
-        "upper known": float(known.mean()),
-        "lower / length": float((lower / length).mean()),
-        "upper / length": float((upper / length)[known].mean()) if known.any() else None,
-        "seconds of 26 moves": of_graph,
-    }
-
-
-def built(path: str, goal: list[float], max_leaves: int | None) -> None:
-    """Read a volume, and save its PLR beside it; printed is what that took, in the process that does this alone."""
-    space = VoxelSpace(scenes.read_volume(path))
-    seconds, plr = timed(lambda: solve_eikonal(space, goal, max_leaves=max_leaves))
-    save(plr, Path(path).with_suffix(".plr"))
-    print(json.dumps({"seconds": seconds, "MB at most": peak_megabytes()}))
-
-
 def _reached(graph: VoxelGraph, num: int, rng: np.random.Generator) -> Points:
     """Centers of random voxels, of those that the goal is reached from."""
     center = np.argwhere(graph.free) + 0.5
     return rng.choice(center[np.isfinite(graph(center))], num)
 
 
-SECTIONS = {each.__name__: Section(each) for each in (volumes, files)}
+SECTIONS = {each.__name__: Section(each) for each in (volumes,)}
 
 if __name__ == "__main__":
     run("volumes", __doc__, SECTIONS)

@@ -50,6 +50,7 @@ class Found:
 
     seconds: float
     path: Float[np.ndarray, "steps robots 3"]
+    cpu_seconds: float = 0.0  # of the worker's threads, where it measures them
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class Done:
     num_free: int
     num_costs: int = 0  # computed in Python
     seconds_a_call: float = 0.0  # of Python from OMPL: what C++ would save
+    cpu_seconds: float = 0.0
 
 
 Message: TypeAlias = Found | Done
@@ -117,6 +119,18 @@ def ompl_plan(
     """
     module = "ompl_prioritized_worker" if planner == PRIORITIZED else "ompl_worker"
     return _solution(problem, planner, _messages(task_of(problem, planner, seed, time_limit, cost_target), module))
+
+
+def cpu_history(
+    problem: Problem, planner: str, seed: int, time_limit: float, cost_target: float
+) -> list[tuple[float, float]]:
+    """Return CPU seconds and costs of a planner's valid paths, and then its CPU seconds at the end, with cost inf."""
+    history = []
+    for message in _messages(task_of(problem, planner, seed, time_limit, cost_target), "ompl_worker"):
+        path = None if isinstance(message, Done) else _as_valid(problem, planner, message.path)
+        if path is not None or isinstance(message, Done):
+            history.append((message.cpu_seconds, np.inf if path is None else path_cost(problem, path)))
+    return history
 
 
 def _solution(problem: Problem, planner: str, messages: Iterable[Message]) -> Solution:

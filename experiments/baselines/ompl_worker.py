@@ -149,23 +149,23 @@ def _seconds_a_call(task: Task) -> float:
 def _trial(task: Task, send: Send) -> Done:
     """Plan, and report each path that is cheaper."""
     setup = _setup(task)
-    begin, best, scene = time.perf_counter(), np.inf, setup.scene
+    begin, cpu_begin, best, scene = time.perf_counter(), time.process_time(), np.inf, setup.scene
 
     def report(cost: float) -> bool:
         """Report a path of some cost, and tell whether the trial is over."""
         nonlocal best
-        seconds = time.perf_counter() - begin
+        seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
         if is_news(cost, best, task):
             path = setup.path()
             if setup.is_valid(path):
                 best = cost
-                send(Found(seconds, path))
+                send(Found(seconds, path, cpu_seconds))
         return seconds >= task.time_limit or best <= task.cost_target
 
     finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
-    seconds = time.perf_counter() - begin
-    finished, num_costs = finished or best <= task.cost_target, getattr(setup.objective, "num_calls", 0)
-    return Done(finished, seconds, setup.samples(), scene.num_checked, scene.num_free, num_costs)
+    seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
+    done = Done(finished or best <= task.cost_target, seconds, setup.samples(), scene.num_checked, scene.num_free)
+    return replace(done, num_costs=getattr(setup.objective, "num_calls", 0), cpu_seconds=cpu_seconds)
 
 
 def is_news(cost: float, best: float, task: Task) -> bool:

@@ -75,12 +75,6 @@ def polygon_field(num_vertices: int, seed: int) -> Map:
     return workspace, workspace.sample_free(1, seed)[0]
 
 
-def median_seconds(call: Callable[[], Any], num_runs: int) -> float:
-    """Median seconds of several calls, after one to warm up."""
-    call()
-    return float(np.median([_seconds(call)[0] for _ in range(num_runs)]))
-
-
 def _seconds(call: Callable[[], Any]) -> tuple[float, Any]:
     start = time.perf_counter()
     result = call()
