@@ -35,7 +35,8 @@ from experiments._runner import RESULTS, commit_of_code, environment, read, run
 from experiments.baselines.ompl import cpu_history
 from experiments.benchmarks._rivals import coded_grid, scipy_grid
 from experiments.first_answers import run_fresh
-from plr_jax import PlaneSpace, VisibilityGraph, Workspace, path_cost, scenes, validate
+from plr_jax import PlaneSpace, VisibilityGraph, Workspace, scenes, validate
+from plr_jax.metrics import path_cost
 
 MAX_BYTES, PAIRS_BYTES = 2_048, 65_536
 LEAVES = ("plane", "continuous", "cone")
