@@ -163,7 +163,8 @@ def on_env(env: Any, config: Any, files: Any) -> None:
         called = code.partition("(")[0]
         name = called.removeprefix("~").removeprefix("plr_jax.")
         first, _, rest = name.partition(".")
-        places = ["plr_jax", *(f"plr_jax.{module}" for module in modules if role or name[:1].isupper())]
+        near = [module for module in modules if role or name[:1].isupper() or scope == f"plr_jax.{module}"]
+        places = ["plr_jax", *(f"plr_jax.{module}" for module in near)]
         if role:
             places = [scope.rsplit(".", depth)[0] for depth in range(scope.count(".") + 1)] + places
             code = code.rpartition(".")[2] if code[0] == "~" else code
