@@ -108,7 +108,8 @@ def add_notebooks() -> list[str]:
                     )
         pages[f"notebooks/{name}.md"] = text
         title, about = text.strip().removeprefix("# ").split("\n\n")[:2]
-        card = f"[![{title}]({name}_{FIGURES.get(name[0], 1)}.png)]({name}.md)\n\n**[{title}]({name}.md)**: "
+        picture = f"{name}_{min(FIGURES.get(name[0], 1), num_figures)}.png"
+        card = f"[![{title}]({picture})]({name}.md)\n\n**[{title}]({name}.md)**: "
         pages[GALLERY] += f"<div markdown>\n{card}{re.split(r'(?<=[.?]) ', about)[0]}\n</div>\n"
     pages[GALLERY] += "</div>\n"
     return [GALLERY, *(f"notebooks/{name}.md" for name in notebooks)]
