@@ -108,7 +108,8 @@ def add_notebooks() -> list[str]:
                     )
         pages[f"notebooks/{name}.md"] = text
         title, about = text.strip().removeprefix("# ").split("\n\n")[:2]
-        card = f"[![{title}]({name}_{FIGURES.get(name[0], 1)}.png)]({name}.md)\n\n**[{title}]({name}.md)**: "
+        picture = f"{name}_{min(FIGURES.get(name[0], 1), num_figures)}.png"
+        card = f"[![{title}]({picture})]({name}.md)\n\n**[{title}]({name}.md)**: "
         pages[GALLERY] += f"<div markdown>\n{card}{re.split(r'(?<=[.?]) ', about)[0]}\n</div>\n"
     pages[GALLERY] += "</div>\n"
     return [GALLERY, *(f"notebooks/{name}.md" for name in notebooks)]
@@ -163,7 +164,8 @@ def on_env(env: Any, config: Any, files: Any) -> None:
         called = code.partition("(")[0]
         name = called.removeprefix("~").removeprefix("plr_jax.")
         first, _, rest = name.partition(".")
-        places = ["plr_jax", *(f"plr_jax.{module}" for module in modules if role or name[:1].isupper())]
+        near = [module for module in modules if role or name[:1].isupper() or scope == f"plr_jax.{module}"]
+        places = ["plr_jax", *(f"plr_jax.{module}" for module in near)]
         if role:
             places = [scope.rsplit(".", depth)[0] for depth in range(scope.count(".") + 1)] + places
             code = code.rpartition(".")[2] if code[0] == "~" else code

@@ -1,19 +1,15 @@
 // A browser starts no worker for a page that is opened as a file: run the search's worker in a hidden frame.
-window.IFrameWorker = class extends EventTarget {
-  constructor(url) {
+if (location.protocol === "file:") window.Worker = class extends EventTarget {
+  constructor(src) {
     super();
-    const frame = document.body.appendChild(Object.assign(document.createElement("iframe"), { hidden: true }));
-    const inner = (this.inner = frame.contentWindow);
-    inner.document.write("<!doctype html><body></body>");
-    inner.document.close();
-    const load = (src) => new Promise((onload) =>
-      inner.document.body.append(Object.assign(inner.document.createElement("script"), { src, onload })));
-    inner.importScripts = (...urls) => urls.reduce((last, next) => last.then(() => load(next)), Promise.resolve());
-    inner.postMessage = (data) => this.dispatchEvent(new MessageEvent("message", { data }));
-    this.loaded = load(url);
+    this.inner = document.body.appendChild(Object.assign(document.createElement("iframe"), { hidden: true })).contentWindow;
+    this.inner.document.write("<!doctype html><body></body>");
+    this.inner.document.close();
+    this.inner.postMessage = (data) => this.dispatchEvent(new MessageEvent("message", { data }));
+    const script = this.inner.document.createElement("script");
+    this.loaded = new Promise((onload) => this.inner.document.body.append(Object.assign(script, { src, onload })));
   }
   postMessage(data) {
     this.loaded.then(() => this.inner.dispatchEvent(new MessageEvent("message", { data })));
   }
 };
-if (location.protocol === "file:") window.Worker = window.IFrameWorker;
