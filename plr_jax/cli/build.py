@@ -15,7 +15,7 @@ from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, or
 
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000  # random free points at which the error is measured
-_SMALL_BYTES = 32_768  # files that are not larger may go on a small machine, by compact headers
+_SMALL_BYTES = 32_768  # larger files are not for small machines, and take seconds to encode for compact headers
 _GOAL_OPTION = typer.Option("--goal", "-g", metavar="X,Y", show_default="the goal of a scene of one robot")
 
 
@@ -156,10 +156,10 @@ def build(
     typer.echo(f"error   {measured}")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")
-    typer.echo("in C    " + "\n        ".join(cost_of(content)))
-    if content.num_bytes <= _SMALL_BYTES:
-        typer.echo(f"compact {cost_of(content, compact=True)[0]}")
     if radius:
         # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
         typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
+    typer.echo("in C    " + "\n        ".join(cost_of(content)))
+    if content.num_bytes <= _SMALL_BYTES:
+        typer.echo(f"compact {cost_of(content, compact=True)[0]}")
     typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")

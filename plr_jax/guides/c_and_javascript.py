@@ -2,7 +2,7 @@ r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript
 
 The file format defines the arithmetic of a query. So the code in all these languages gives the same answers, bit for
 bit, as `plr.numpy()`, and as `plr(x)` on a CPU in 32 bits (except for numbers below 1e-38). NumPy takes batches of
-points; C and JavaScript take single points. The C code does not compute bounds. `plr_jax.load_numpy` reads a file as a
+points; C and JavaScript take single points. The C code does not compute bounds. `plr_jax.load_numpy` returns a
 `plr_jax.plr.NumpyPLR`, without JAX; a single point takes a few microseconds.
 
 ```python
@@ -61,12 +61,12 @@ values in the plane, to which tables without `compact=True` add 600 bytes of cod
 | the same with `compact=True` or `--compact` | 1.3 | 2.2 | 2.3 | 3 |
 | compact: bytes of code; of stack | 4,300; 600 | 1,400; 500 | 3,700; 800 | 6,500; 5,600 |
 
-For 16 KB of flash, use cones: a file of 2 KB as tables, or 6 KB compact. A compact query takes 0.07 to 0.2
-microseconds on a PC, for smooth leaves 1.7. Compact headers compute with doubles, except for cones.
+For 16 KB of flash, use cones: a file of 2 KB as tables, or 5 KB compact. Other compact leaves compute with doubles.
+A compact query takes 0.07 to 0.2 microseconds on a PC, with smooth leaves 1.7.
 
-- `-fno-math-errno` makes `sqrtf` one instruction. Without it, a library may add 1 KB of memory.
+- `-fno-math-errno` makes `sqrtf` one instruction. Without it, a library may add 1 KB of RAM.
 - Include a header in one source file only: each file that includes it gets tables of its own.
-- Without hardware for floats (Cortex-M0), add 4 KB of code, with doubles 9 KB. GCC for AVR copies tables to memory.
+- Without float hardware (Cortex-M0), add 4 KB of code, 9 KB with doubles. On AVR, tables are in RAM; no compact code.
 - A waypoint is a corner or the goal. On a corner, it may be that corner: go one more step ahead, then ask again.
 - In small files, a wall may hide the waypoint: `--radius` grows obstacles by the robot's radius.
 

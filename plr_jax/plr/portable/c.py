@@ -16,8 +16,8 @@ _WHY = {
     "float": "only domains farther from 0 than 4 times their width need double",
     "double": "this domain is farther from 0 than 4 times its width, where float is too coarse",
 }
-# Bytes of code and of stack: upper limits of what GCC 12 gave with -Os -fno-math-errno for a Cortex-M4. Its doubles are
-# computed by library functions, which are counted. For compact headers, LeafModel.decoder_cost has these bytes.
+# Bytes of code and of stack: upper limits of what GCC 12 gave with -Os -fno-math-errno for a Cortex-M4. Its doubles
+# are computed by library functions, which are counted. For compact headers, LeafModel.decoder_cost has these bytes.
 _TABLES_COST = (600, 100)  # with tables, in the plane
 _GENERAL_COST = (3_000, 250)  # added for more dimensions, periodic axes, mirrored points, and domains far from 0
 _FLOOR_BYTES = 32  # of tables, for each floor of a building
@@ -117,7 +117,7 @@ def c_header(program: Program, name: str) -> str:
         "",
         f"   {name}_distance: distance to the goal from a point of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
-        *[f"   {name}_waypoint: next waypoint on the way to the goal; NaN outside the domain."] * is_sourced,
+        *[f"   {name}_waypoint: next corner or goal; on a corner, maybe this corner. NaN outside."] * is_sourced,
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
         *(f"   {line}" for line in _cost_lines(program, table_bytes, compact=False)),
         "",
@@ -217,7 +217,7 @@ def compact_header(program: Program, name: str) -> str:
     data, dim = compact_bytes(program), program.dim
     of_type, far = ("float", "") if program.corner is None else ("double", "_far")  # of coordinates; of functions
     signature = f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])"
-    comment = "/* The next waypoint on the way to the goal; NaN outside the domain. */"
+    comment = "/* The next corner or goal; on a corner, maybe this corner. NaN outside the domain. */"
     waypoint = ["", comment, *c_function(signature, [f"plr_jax_waypoint{far}(&{name}_plr, x, waypoint);"])[:-1]]
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     # The features of this PLR, a constant, so that the compiler leaves out code for others.
