@@ -59,7 +59,7 @@ class Problem:
         robots = tuple(robots)
         for i, robot in enumerate(robots):
             if not isinstance(robot, Robot):
-                raise ValueError(f"Robot {i} must be a Robot such as PointRobot(), got {robot!r}.")
+                raise ValueError(f"Robot {i} must be a Robot, such as DiscRobot(radius), got {robot!r}.")
             check_body(f"Robot {i}", robot)
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
@@ -218,10 +218,10 @@ def _require_free(problem: Problem, name: str) -> None:
         if inside < -workspace.tolerance:
             is_in = workspace.bounds.contains(q[None, :2])[0]
             place = f" by {-inside:.3g} at {q.tolist()}" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
-            raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}.")
+            raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}: move it inside.")
         if clearance < -workspace.tolerance:
             place = f"at {q.tolist()} (clearance {clearance:.3g})"
-            raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}.")
+            raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}: move it.")
 
 
 def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:

@@ -73,7 +73,7 @@ class _CellGraph(ABC):
     def _set_goal(self, goal: ArrayLike) -> None:
         goal = _arrays.as_finite_point("The goal", self.bounds.settled(goal, self._are_in_free_cells), self.dim)
         if not self._are_in_free_cells(goal[None])[0]:
-            raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
+            raise ValueError(f"The goal must be a point in a free cell of {self.bounds}, got {goal.tolist()}.")
         _arrays.set_fields(self, goal=goal)
 
     def _are_in_free_cells(self, x: Points) -> Bool[np.ndarray, " n"]:
