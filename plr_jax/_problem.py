@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite, as_numbers, is_single, set_fields, shortened
+from plr_jax._arrays import as_finite, as_numbers, is_single, require_type, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups, require_workspace
 from plr_jax.robots import Configurations, Robot, check_body, footprint, smaller_angle
@@ -54,8 +54,7 @@ class Problem:
         rotation_weight: float | int | None = None,
     ):
         require_workspace(workspace)
-        if not isinstance(robots, Iterable):
-            raise ValueError(f"robots must be a list of robots, got {shortened(robots)}.")
+        require_type("robots", robots, Iterable, "a list of robots")
         robots = tuple(robots)
         for i, robot in enumerate(robots):
             if not isinstance(robot, Robot):

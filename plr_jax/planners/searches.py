@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plr_jax._arrays import as_number, require_choice, shortened
+from plr_jax._arrays import as_number, require_choice, require_type, shortened
 from plr_jax._problem import Problem, require_problem
 from plr_jax._progress import Progress
 from plr_jax._types import HeuristicFn
@@ -94,8 +94,7 @@ class BLOptions:
 
 def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
     require_problem(problem)
-    if not isinstance(options, BLOptions):
-        raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
+    require_type("options", options, BLOptions, "BLOptions(...)")
 
 
 @dataclass(eq=False)
