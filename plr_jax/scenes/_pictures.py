@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_bool, as_finite, as_number, shortened
+from plr_jax._arrays import as_bool, as_finite, as_number, require_choice, shortened
 from plr_jax._files import StrPath, errors_named, yaml_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks import require_resolved_pixels
@@ -274,8 +274,7 @@ class _MapServer:
         if not image.exists():
             raise FileNotFoundError(errno.ENOENT, f"No such picture, named as image in {path}", str(image))
         # 2. Check what its pixels mean, and where it lies.
-        if (mode := entry.get("mode", "trinary")) not in _MODES:
-            raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
+        require_choice("mode", mode := entry.get("mode", "trinary"), _MODES)
         if (negate := entry.get("negate", 0)) not in (0, 1):
             raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
         resolution = as_finite("resolution", _number("resolution", entry["resolution"]), positive=True)
