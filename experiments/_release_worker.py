@@ -75,7 +75,7 @@ class Release:
         bounds, obstacles, squeeze = team.workspace.bounds, team.workspace.obstacles, team.workspace.squeeze
         options = plr_jax.BLOptions(cost_factor=1e9) if is_first else plr_jax.BLOptions()
 
-        def planned() -> np.ndarray:
+        def planned() -> Any:
             workspace = plr_jax.Workspace(bounds, obstacles, squeeze=squeeze)
             problem = plr_jax.Problem(workspace, team.robots, team.starts, team.goals, team.rotation_weight)
             return plr_jax.bl_plan(problem, None, options).path

@@ -97,14 +97,20 @@ def _arguments(
     return parser.parse_args()
 
 
-def commit_of_code() -> str:
-    """Return the commit checked out, with a plus if tracked code differs from it; ``"unknown"`` outside a clone."""
+def commit_of_code(revision: str = "HEAD") -> str:
+    """Return the commit of a revision; ``"unknown"`` outside a clone.
+
+    ``HEAD`` is the commit checked out, with a plus if tracked code differs from it.
+    """
 
     def git(*words: str) -> subprocess.CompletedProcess:
         return subprocess.run(["git", *words], cwd=RESULTS, capture_output=True, text=True, check=False)
 
-    commit = git("rev-parse", "--short=8", "HEAD")
-    changed = git("diff", "--quiet", "HEAD", "--", ":(top)plr_jax", ":(top,glob)experiments/**/*.py").returncode
+    commit = git("rev-parse", "--short=8", revision)
+    changed = (
+        revision == "HEAD"
+        and git("diff", "--quiet", "HEAD", "--", ":(top)plr_jax", ":(top,glob)experiments/**/*.py").returncode
+    )
     return commit.stdout.strip() + ("+" if changed else "") if commit.returncode == 0 else "unknown"
 
 

@@ -12,6 +12,7 @@ speed could be bought with: errors, bytes or costs.
 import argparse
 import itertools
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -93,14 +94,11 @@ NUMBERS = {
     "solve_eikonal": Number("solve_eikonal, to scikit-fmm, 9 nodes a cell", "error"),
     "cost_distance": Number("cost_distance, to scikit-image MCP_Geometric", "error"),
     "first_path": Number("first path of a team, to OMPL", "cost of the first path"),
-    "our_cost": Number(
-        "path at most 1 % longer than ours, to OMPL",
-        "share of trials in which OMPL found it within 2 s; 2 s count for the others",
-    ),
+    "our_cost": Number("path at most 1 % longer than ours, to OMPL", "share of trials that OMPL ends within 2 s"),
     "construct": Number("construct of three kinds of leaves, to the previous release", "error", True),
-    "first_answers": Number("import, load and 1,000 points, to the previous release", "bytes", True),
+    "first_answers": Number("import, load and 1,000 points, to the previous release", "error", True),
     "errors": Number("mean error of three kinds of leaves, to the previous release", "bytes", True),
-    "pairs": Number("10,000 pairs of points, to the previous release", "bytes", True),
+    "pairs": Number("10,000 pairs of points, to the previous release", "error", True),
 }
 
 
@@ -111,20 +109,18 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     entries = read(RESULTS, "history")["results"]["entries"] if is_kept else {}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        commit = options.release or commit_of_code()
         ours = _started(stack, folder / "ours" if options.release else ROOT, options.release)
         older = [version for version in entries if _order(version) < _order(ours.version)]
         revision = options.previous or (entries[older[-1]]["commit"].rstrip("+") if older else None)
         previous = _started(stack, folder / "previous", revision) if revision else ours if smoke else None
         bench = Bench(ours, previous, folder, seed, smoke)
         numbers = _distances(bench) | _costs(bench) | _plans(bench)
-    environs = environment()
     entry = {
-        "commit": commit,
-        "previous": {"version": previous.version, "commit": revision} if previous else None,
+        "commit": commit_of_code(options.release or "HEAD"),
+        "previous": {"version": previous.version, "commit": commit_of_code(revision or "HEAD")} if previous else None,
         "date": date.today().isoformat(),
-        "cores": environs["cores"],
-        "versions": environs["versions"],
+        "cores": os.cpu_count(),
+        "versions": environment()["versions"] | {"plr-jax": ours.version},
         "numbers": [{"number": name, **_summary(*numbers[name])} for name in NUMBERS],
     }
     entries[ours.version] = entry
@@ -156,6 +152,11 @@ def _summary(ratios: list[float] | None, beside: float) -> dict[str, float | Non
     return {name: None if each is None else float(f"{each:.4g}") for name, each in values.items()}
 
 
+def _seconds(measured: Callable[..., Any], **arguments: Any) -> float:
+    """Return the first part of an answer."""
+    return measured(**arguments)[0]
+
+
 def _distances(bench: Bench) -> Numbers:
     """Distances to one goal of a floor plan, and between pairs of its points."""
     problem, smoke, ours = scenes.floor_plan(), bench.smoke, bench.ours
@@ -179,9 +180,8 @@ def _distances(bench: Bench) -> Numbers:
     for worker, leaf in itertools.product(releases, leaves):
         build(worker, leaf)
         errors[worker, leaf] = relative_error(worker("query", x=x, calls=1)[1], truth)
-    of_errors, of_sizes = (
-        [part[ours, leaf] / part[releases[1], leaf] for leaf in leaves] for part in (errors, sizes)
-    )
+    before = releases[1]
+    of_errors, of_sizes = ([part[ours, leaf] / part[before, leaf] for leaf in leaves] for part in (errors, sizes))
     numbers["construct"] = building, float(np.exp(np.log(of_errors).mean()))
     numbers["errors"] = of_errors if bench.previous else None, float(np.mean(of_sizes))
     # 3. New processes that load a file of cones.
@@ -200,20 +200,17 @@ def _distances(bench: Bench) -> Numbers:
     numbers["error"] = [error], sizes[ours, "cone"] / grid.num_bytes
     batch = np.tile(x, (1 if smoke else 10, 1)).astype(np.float32)
     for name, points, calls, in_numpy in (("query", batch, 10, False), ("small_query", batch[:100], 300, True)):
-        arguments: dict[str, Any] = {"x": points, "calls": calls, "in_numpy": in_numpy}
-        of_grid = partial(repeated, partial(rival.answer, points), calls)
-        querying = bench.in_turns(
-            lambda worker, each=arguments: worker("query", **each)[0], lambda of_grid=of_grid: of_grid()[0]
-        )
-        numbers[name] = querying, error
+        query = partial(_seconds, task="query", x=points, calls=calls, in_numpy=in_numpy)
+        of_grid = partial(_seconds, partial(repeated, partial(rival.answer, points), calls))
+        numbers[name] = bench.in_turns(query, of_grid), error
     # 5. Pairs of points.
     pairs = {"x": x[:10_000], "y": y[:10_000]}
     of_pairs = exact.between(*pairs.values())
     for worker in releases:
         worker("build_pairs", max_bytes=PAIRS_BYTES)
         errors[worker, "pairs"] = relative_error(worker("query_pairs", **pairs, calls=1)[1], of_pairs)
-    asking = bench.to_previous(lambda worker: worker("query_pairs", **pairs, calls=20)[0])
-    numbers["pairs"] = asking, errors[ours, "pairs"] / errors[releases[1], "pairs"]
+    asking = bench.to_previous(partial(_seconds, task="query_pairs", **pairs, calls=20))
+    numbers["pairs"] = asking, errors[ours, "pairs"] / errors[before, "pairs"]
     return numbers
 
 
@@ -226,7 +223,9 @@ def _costs(bench: Bench) -> Numbers:
     truth, _ = costs.converged(space, cost_map, x, 200 if smoke else 1_600)
     rival, march = costs.marched(space, cost_map, 300)
     task = {"bounds": costs.BOUNDS, "wall": costs.WALL, "goal": costs.GOAL, "costs": cost_map.values, "x": x}
-    solving = bench.in_turns(lambda worker: worker("solve_eikonal", **task)[0], lambda: timed(march)[0])
+    solving = bench.in_turns(
+        partial(_seconds, task="solve_eikonal", **task), partial(_seconds, partial(timed, march))
+    )
     error = relative_error(ours("solve_eikonal", **task)[1], truth) / relative_error(rival(x), truth)
     numbers: Numbers = {"solve_eikonal": (solving, error), "cost_distance": (None, np.nan)}
     # 2. A raster of 400 x 400 cells.
@@ -234,18 +233,16 @@ def _costs(bench: Bench) -> Numbers:
     arguments = {"costs": raster, "sources": [(column + 0.5, row + 0.5) for row, column in cells]}
     if (answer := ours("cost_distance", **arguments)) is not None:
         coarse, fine = (cost_distance.marched(raster, cells, each) for each in ((2, 2) if smoke else (4, 8)))
-        found = cost_distance.scikit_image(raster, cells)
-        searching = bench.in_turns(
-            lambda worker: worker("cost_distance", **arguments)[0],
-            lambda: timed(lambda: cost_distance.scikit_image(raster, cells))[0],
-        )
-        of_us, of_rival = (relative_error(each, 2 * fine - coarse) for each in (answer[1], found))
+        image = partial(timed, partial(cost_distance.scikit_image, raster, cells))
+        search = partial(_seconds, task="cost_distance", **arguments)
+        searching = bench.in_turns(search, partial(_seconds, image))
+        of_us, of_rival = (relative_error(each, 2 * fine - coarse) for each in (answer[1], image()[1]))
         numbers["cost_distance"] = searching, of_us / of_rival
     return numbers
 
 
 def _plans(bench: Bench) -> Numbers:
-    """Teams. Our seconds begin with the obstacles, those of OMPL when it has compiled; OMPL tests motions by Python."""
+    """Teams. Our seconds begin with the obstacles, those of OMPL when it has compiled. It calls Python for tests."""
     first, same, costs_of_first, is_reached = [], [], [], []
     variants = range(bench.seed, bench.seed + (1 if bench.smoke else NUM_VARIANTS))
     for (scene, size), seed in itertools.product(list(SCENES.items())[: 1 if bench.smoke else None], variants):
@@ -258,12 +255,10 @@ def _plans(bench: Bench) -> Numbers:
                 raise RuntimeError(f"A path on {scene} is not valid.")
             seconds.append(np.median([run[0] for run in runs]))
             found.append(path_cost(problem, runs[0][1]))
-        limit = 0.5 if bench.smoke else OMPL_LIMIT
-        target = _ENOUGH * found[1]
+        limit, target = 0.5 if bench.smoke else OMPL_LIMIT, _ENOUGH * found[1]
         histories = [cpu_history(problem, planner, seed, limit, target) for planner in OMPL_PLANNERS]
         their_first, their_cost = min(history[0] for history in histories)
-        reached = [next((at for at, cost in history if cost <= target), None) for history in histories]
-        known = [at for at in reached if at is not None]
+        known = [at for history in histories for at, cost in history if cost <= target]
         first.append(seconds[0] / their_first)
         costs_of_first.append(found[0] / their_cost)
         is_reached.append(len(known) > 0)
@@ -278,19 +273,17 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     for ax, (name, number) in zip(figure.subplots(3, 4).flat, results["numbers"].items(), strict=True):
         low, ratio, high = levels(entries, name, number["is_to_previous"])
         ax.axhline(1, color="#999999", lw=0.8, ls="--")
-        ax.errorbar(
-            range(len(entries)), ratio, [ratio - low, high - ratio], fmt="-o", color="#0072B2", ms=4, capsize=2
-        )
+        ax.errorbar(range(len(entries)), ratio, [ratio - low, high - ratio], fmt="-o", color="#0072B2", ms=4)
         for release, value in enumerate(ratio):
             if np.isfinite(value) and release in (0, len(entries) - 1):
                 ax.annotate(f"{value:.2g}", (release, value), (5, 4), textcoords="offset points", fontsize=8)
-        ax.set_title(textwrap.fill(number["what"], 34), fontsize=9)
+        ax.set_title(textwrap.fill(number["what"].replace("previous release", "first entry"), 34), fontsize=9)
         ax.set_xticks(range(len(entries)), versions, fontsize=7, rotation=0 if len(entries) < _MANY else 60)
         ax.set(yscale="log", xlim=(-0.5, len(entries) - 0.5))
         ax.yaxis.set_major_formatter("{x:g}")
         ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         ax.yaxis.set_minor_formatter("")
-        ax.margins(y=0.3)
+        ax.set_ylim(np.nanmin([*low, 0.75]) / 1.5, np.nanmax([*high, 1.33]) * 1.5)
         ax.tick_params(labelsize=7)
         ax.spines[["top", "right"]].set_visible(False)
     figure.supylabel("ratio; below 1, ours takes less", fontsize=9)
@@ -303,10 +296,8 @@ def levels(entries: list[dict[str, Any]], name: str, is_to_previous: bool) -> np
 
     Ratios to the previous release are multiplied up, so that the release before the first ratio has level 1.
     """
-    found = [row_of(entry, name) for entry in entries]
-    values = np.array(
-        [[row.get(key) for row in found] for key in ("low", "ratio", "high")], float
-    )  # None becomes NaN
+    found = [row_of(entry, name) for entry in entries]  # what is missing becomes NaN
+    values = np.array([[row.get(key) for row in found] for key in ("low", "ratio", "high")], float)
     if is_to_previous:
         known = np.nan_to_num(values[1], nan=1.0)
         values *= np.cumprod(np.concatenate([[1.0], known[:-1]]))
