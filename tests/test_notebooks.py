@@ -2,17 +2,20 @@
 
 import ast
 import json
+import os
 import re
+import subprocess
+import venv
 from pathlib import Path
 
 import nbformat
 import pytest
-from matplotlib import pyplot as plt
 from page_helpers import propagate
 
 import plr_jax
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+ROOT = Path(__file__).parent.parent
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 LARGEST = 900_000
 # Small values of the parameters that the first cell of a notebook sets, for quick runs.
 LEAVES = ["plane", "continuous", "smooth", "cone"]
@@ -31,6 +34,10 @@ SMALL = {
     | {"MAX_BYTES": 256, "RESOLUTION": 30},
 }
 PARAMETERS = {"tags": ["parameters"]}
+WARNINGS_ARE_ERRORS = """import warnings
+warnings.simplefilter("error")
+warnings.simplefilter("ignore", DeprecationWarning)
+"""
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
@@ -39,43 +46,52 @@ def without_times(text):
     return re.sub(r"[\d.,]+ (?=(ns|us|ms|s|million)\b)", "", text)
 
 
-def show():
-    """Draw all open figures, and close them, as a notebook does."""
-    for number in plt.get_fignums():
-        plt.figure(number).draw_without_rendering()
-    plt.close("all")
+@pytest.fixture(scope="module")
+def jupyter(tmp_path_factory):
+    """Return the program ``jupyter`` of an environment that holds only what the extra ``notebooks`` installs."""
+    folder = tmp_path_factory.mktemp("environment")
+    venv.create(folder, with_pip=True)
+    run_alone([folder / "bin" / "pip", "install", "--quiet", f"{ROOT}[notebooks]"], folder)
+    return folder / "bin" / "jupyter"
+
+
+def run_alone(command, folder):
+    """Run a program in a folder, without the settings by which the tests find and check the package."""
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PLR_JAX_CHECK"))
+    }
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout[-5000:] + result.stderr[-5000:]
 
 
 @each_notebook
 @pytest.mark.full
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.filterwarnings("error", "ignore::DeprecationWarning")
-def test_notebook_runs_and_prints_committed_output(path, tmp_path, monkeypatch, capsys):
+def test_notebook_runs_and_prints_committed_output(path, jupyter, tmp_path):
     """Run it with small parameters; cells that do not depend on them must print the committed output."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(plt, "show", show)
-    plt.switch_backend("agg")
+    committed = nbformat.read(path, as_version=4).cells
+    notebook = nbformat.read(path, as_version=4)
+    first = next(cell for cell in notebook.cells if cell.metadata == PARAMETERS)
     small = SMALL[path.name[0]]
-    names, changed, compared = {"__name__": "__main__"}, set(small), 0
-    with plt.rc_context():
-        for cell in (cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"):
-            *statements, last = ast.parse(cell.source).body
-            is_shown = isinstance(last, ast.Expr)
-            exec(compile(ast.Module(statements if is_shown else [*statements, last], []), path.name, "exec"), names)
-            shown = eval(compile(ast.Expression(last.value), path.name, "eval"), names) if is_shown else None
-            assert shown is None or shown._repr_html_()
-            if cell.metadata == PARAMETERS:
-                assert small.keys() <= names.keys()
-                names |= small
-            said = capsys.readouterr()
-            assert said.err == ""
-            is_small = cell.metadata == PARAMETERS
-            is_small = is_small or any([propagate(statement, changed) for statement in ast.parse(cell.source).body])
-            if said.out and not is_small:
-                compared += 1
-                printed = "".join(output.text for output in cell.outputs if output.output_type == "stream")
-                assert without_times(said.out) == without_times(printed)
+    assert small.keys() <= {node.id for node in ast.walk(ast.parse(first.source)) if isinstance(node, ast.Name)}
+    first.source = f"{WARNINGS_ARE_ERRORS}{first.source}\n" + "\n".join(f"{name} = {small[name]!r}" for name in small)
+    nbformat.write(notebook, tmp_path / path.name)
+    run_alone([jupyter, "execute", "--inplace", path.name], tmp_path)
+    changed, compared = set(small), 0
+    for cell, before in zip(nbformat.read(tmp_path / path.name, as_version=4).cells, committed, strict=True):
+        if cell.cell_type != "code":
+            continue
+        assert not any(output.output_type == "error" or output.get("name") == "stderr" for output in cell.outputs)
+        is_small = before.metadata == PARAMETERS
+        is_small = is_small or any([propagate(statement, changed) for statement in ast.parse(before.source).body])
+        if printed_by(cell) and not is_small:
+            compared += 1
+            assert without_times(printed_by(cell)) == without_times(printed_by(before))
     assert compared or path.stem == "5_inside_your_environment"  # all that it prints depends on its sizes
+
+
+def printed_by(cell):
+    """Return the text that a cell printed."""
+    return "".join(output.text for output in cell.outputs if output.output_type == "stream")
 
 
 @each_notebook
