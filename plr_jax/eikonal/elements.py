@@ -21,7 +21,7 @@ from scipy.sparse import csr_array, eye_array, kron
 
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.graph import connected_groups
-from plr_jax.plr.leaf_faces import eliminate_constraints, face_points, resolve_constraints
+from plr_jax.plr.leaf_faces import eliminate_constraints, nodes_in_faces, resolve_constraints
 
 _MOST_WEIGHTS_OF_NODE = 2**8  # additions for each group of nodes in the elimination of step 3, which bounds its time
 # By the degree, along one axis: weights of the trapezoidal rule and of Simpson's rule, and the matrix from values at
@@ -127,11 +127,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     stride = (degree + 1) ** np.arange(mesh.dim)[::-1]  # from the place of a node in the lattice to its index
     twins, hangers, crossings = [], [], []
     for axis in range(mesh.dim):
-        faces = mesh.open_faces[mesh.open_faces.axis == axis]
-        x = face_points(mesh.cells, faces, lattice[lattice[:, axis] == 0])
-        cell = np.repeat(np.stack([faces.lower, faces.upper]), x.shape[1], axis=1)
-        t = mesh.local(cell, x.reshape(1, -1, mesh.dim))
-        t[:, :, axis] = [[1.0], [0.0]]  # across a seam too
+        cell, t = nodes_in_faces(mesh.cells, mesh.open_faces, axis, lattice)
         is_node = np.all(t * degree == np.rint(t * degree), axis=2)
         node = cell * size + np.rint(t * degree).astype(int) @ stride
         hangs, is_crossing = is_node & ~is_node[::-1], ~is_node.any(axis=0)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 import shapely
@@ -179,9 +179,7 @@ class VisibilityGraph(PickledWithoutCaches):
         """
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
-    def cells_of_members(
-        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Rows, member: Rows
-    ) -> CellSources:
+    def cells_of_members(self, shared: FamilyCells, members: Sequence[Self], box: Rows, member: Rows) -> CellSources:
         """Return what :meth:`cell_sources` returns, for many pairs of a box and an oracle.
 
         ``shared`` is the result of :meth:`shared_cells` for several boxes, and ``members`` are oracles for several

@@ -23,8 +23,8 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Distances, Points
 from plr_jax.plr import leaf_faces
-from plr_jax.plr.leaf_faces import Indices, Pairs, SharedFaces
-from plr_jax.plr.tree import Cells, Tree, corner_bits
+from plr_jax.plr.leaf_faces import Indices, SharedFaces
+from plr_jax.plr.tree import Tree, corner_bits
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -84,7 +84,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     leaf_faces.check_num_weights(len(tied) * 2 ** (dim - 1), most)
     # 1. Constraint points, as points of both leaves: index 0 on the first axis of these arrays is the leaf below the
     #    face, index 1 the leaf above it. `t` is the position in the leaf, from 0 to 1 along each axis.
-    points = [_face_corners(tree.leaves, tied[tied.axis == axis], axis) for axis in range(dim)]
+    corners = corner_bits(dim).astype(float)
+    points = [leaf_faces.nodes_in_faces(tree.leaves, tied, axis, corners) for axis in range(dim)]
     leaf, t = (np.concatenate(parts, axis=1) for parts in zip(*points, strict=True))  # (2, points), (2, points, dim)
     is_end = (t == 0) | (t == 1)
     is_corner = is_end.all(axis=2)
@@ -141,21 +142,6 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     means = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(free_dofs), num_nodes))
     prediction = csr_array(means @ values)
     return NodalSpace(tree, group, hanging, host_leaf, host_t, free_dofs, level[free_dofs], values, prediction)
-
-
-def _face_corners(cells: Cells, faces: SharedFaces, axis: int) -> tuple[Pairs, Float[np.ndarray, "2 points dim"]]:
-    """Return the corners of faces perpendicular to ``axis``, each as a point of both leaves that share the face.
-
-    Faces are the parts that both leaves share. The results have the leaf of each point, and the point's position in
-    the leaf, from 0 to 1 along each axis. Index 0 on the first axis is for the lower leaf, index 1 for the upper one.
-    """
-    corners = corner_bits(cells.dim)
-    places = corners[corners[:, axis] == 0].astype(float)  # in a face
-    x = leaf_faces.face_points(cells, faces, places).reshape(-1, cells.dim)  # in fractions of the domain
-    leaf = np.repeat(np.stack([faces.lower, faces.upper]), len(places), axis=1)
-    t = np.ldexp(x, cells.depth[leaf]) - cells.position[leaf]  # in fractions of the leaf
-    t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
-    return leaf, t
 
 
 def _interpolation(

@@ -281,6 +281,23 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
     return low[:, None] + (high - low)[:, None] * w
 
 
+def nodes_in_faces(
+    cells: Cells, faces: SharedFaces, axis: int, nodes: Float[np.ndarray, "nodes dim"]
+) -> tuple[Pairs, Float[np.ndarray, "2 points dim"]]:
+    """Return the nodes of faces perpendicular to ``axis``, each as a point of both leaves that share the face.
+
+    Faces are the parts that both leaves share. A face has those of the ``nodes`` of a cell, from 0 to 1 along each
+    axis, that are 0 along ``axis``. The results have the leaf of each point, and the point's position in the leaf,
+    from 0 to 1 along each axis. Index 0 on the first axis is for the lower leaf, index 1 for the upper one.
+    """
+    faces = faces[faces.axis == axis]
+    x = face_points(cells, faces, nodes[nodes[:, axis] == 0])
+    leaf = np.repeat(np.stack([faces.lower, faces.upper]), x.shape[1], axis=1)
+    t = np.ldexp(x.reshape(-1, cells.dim), cells.depth[leaf]) - cells.position[leaf]
+    t[:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
+    return leaf, t
+
+
 def leaves_at_corners(tree: Tree) -> Int[np.ndarray, "nodes corners"]:
     """Return the leaf in each corner of each node."""
     # Upward from the leaves: the leaf in a corner of a split node is in the same corner of one of its halves.

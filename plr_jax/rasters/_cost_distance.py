@@ -231,9 +231,8 @@ def cost_distance(
 def _on_raster(raster: Any, values: np.ndarray) -> Any:
     """Return a DataArray of values with the coordinates and the reference system of ``raster``."""
     result = raster.copy(data=values)
-    result.attrs, result.encoding = (
-        {key: table[key] for key in _KEPT if key in table} for table in (raster.attrs, raster.encoding)
-    )
+    kept = ({key: table[key] for key in _KEPT if key in table} for table in (raster.attrs, raster.encoding))
+    result.attrs, result.encoding = kept
     return result
 
 
@@ -265,9 +264,8 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
         is_aligned = raster.dims == costs.dims and raster.shape == costs.shape
         for axis in costs.dims if is_aligned else ():
             ours, given = (np.asarray(each[axis].values, float) for each in (costs, raster))
-            is_aligned &= bool(
-                (np.abs(ours - given) <= _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)).all()
-            )
+            tolerance = _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)
+            is_aligned &= bool((np.abs(ours - given) <= tolerance).all())
         if not is_aligned:
             expected = f"the dimensions {costs.dims} and coordinates of costs, got other ones"
             raise ValueError(f"{name} must have {expected}: use reindex_like(costs) or interp_like(costs).")

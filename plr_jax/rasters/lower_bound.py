@@ -61,10 +61,8 @@ def lower_bound(cost: Raster, side: Sides, points: Points, at_centers: Raster, a
             for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
                 change[kind][place] += shrinkage * (values[place] - mean)
                 count[kind][place] += is_steep
-        projected = [
-            u + _RELAXATION * each / np.maximum(n, 1) for u, each, n in zip(ahead, change, count, strict=True)
-        ]
-        middle, corner = (np.minimum(u, start) for u, start in zip(projected, first, strict=True))
+        columns = zip(ahead, change, count, first, strict=True)
+        middle, corner = (np.minimum(u + _RELAXATION * d / np.maximum(n, 1), start) for u, d, n, start in columns)
     # 4. Rescale. The range of a cell's values includes reflections of its corners in the center, for
     #    corners that nothing binds.
     factor = (1 + ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)

@@ -1,5 +1,6 @@
 """Approximate cost distances over large rasters, by fast marching (see ``eikonal/march.py``)."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -7,19 +8,7 @@ from scipy import ndimage
 
 from plr_jax.eikonal.march import marched
 from plr_jax.geometry.graph import path_ends
-from plr_jax.rasters.search import (
-    CENTER,
-    UNITS,
-    AtOffset,
-    Cell,
-    Nearest,
-    Points,
-    Raster,
-    Sides,
-    cells_of,
-    mean_along,
-    search,
-)
+from plr_jax.rasters.search import CENTER, UNITS, Cell, Nearest, Points, Raster, Sides, cells_of, mean_along, search
 
 _LARGEST_RATIO = 1e5  # of two costs; at 1e6, scikit-fmm returns NaN
 _RADIUS = 16  # cells around each source where a search for paths replaces the march
@@ -87,8 +76,8 @@ def _reached_sources(distance: Raster, cost: Raster, label: Nearest, side: Sides
             rows, columns = (n - abs(step) for n, step in zip(values.shape, (i, j), strict=True))  # noqa: B023
             return values[row + cell[0] :, column + cell[1] :][:rows, :columns]  # noqa: B023
 
-        cost_at: AtOffset = lambda cell: beside(cell, cost)  # noqa: E731
-        cost_of_step = float(np.hypot(*(side[::-1] * (i, j)))) * mean_along((UNITS * i, UNITS * j), CENTER, cost_at)
+        mean_cost = mean_along((UNITS * i, UNITS * j), CENTER, partial(beside, values=cost))
+        cost_of_step = float(np.hypot(*(side[::-1] * (i, j)))) * mean_cost
         for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
             through = beside(b, distance) + cost_of_step
             is_better = (through < beside(a, least)) & (beside(b, distance) < beside(a, distance))

@@ -25,7 +25,7 @@ class SearchGrid:
     shape: tuple[int, int]  # rows and columns of the raster
     parts: tuple[int, int]  # rows and columns of parts in each cell: odd, so that a part has the cell's center
     unit: float  # of the raster's coordinates, in the plane
-    scale: Scale | None  # cosine of the latitude of each row of parts, for degrees
+    scale: Scale | None  # cosine of the latitude in the middle of each row of parts, for degrees
 
     @classmethod
     def of(cls, box: Box, shape: tuple[int, int], in_degrees: bool, num_cells: int) -> "SearchGrid":
@@ -41,7 +41,8 @@ class SearchGrid:
         wanted = ratio[::-1] * ((finer - 1) // 2 * 2 + 1)
         # Odd numbers of parts: 1 up to 1.5, 3 up to 3.5, and so on.
         row_parts, column_parts = (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int).tolist()
-        scale = _cosines(box, rows * row_parts) if in_degrees else None
+        latitude = box.lo[1] + (np.arange(rows * row_parts) + 0.5) / (rows * row_parts) * box.width[1]
+        scale = np.cos(np.radians(latitude)) if in_degrees else None
         return cls(box, shape, (row_parts, column_parts), float(unit), scale)
 
     @property
@@ -79,8 +80,3 @@ class SearchGrid:
         """Return the row and the column of the part in the middle of a cell."""
         row, column = (k * count + count // 2 for k, count in zip(cell, self.parts, strict=True))
         return row, column
-
-
-def _cosines(box: Box, rows: int) -> Float[np.ndarray, " rows"]:
-    # The cosines of the latitudes in the middle of equal rows.
-    return np.cos(np.radians(box.lo[1] + (np.arange(rows) + 0.5) / rows * box.width[1]))
