@@ -21,7 +21,7 @@ from plr_jax.cli.plan import solve
 _MAX_BYTES = 1_024  # of a PLR, as in the README's first example
 # Number of points in a batch, and of timed calls: for the PLR, and for the oracle, which is slower.
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
-_ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
+_ORACLE_POINTS, _ORACLE_REPEATS = 50_000, 3
 _GIF_SECONDS, _GIF_RATE = 6, 10.0  # few frames, since drawing them takes longer than planning
 
 
@@ -32,8 +32,7 @@ def run(output: Path) -> None:
     problem = scenes.four_rooms(4)
     typer.echo("\nFour rooms around a center with narrow doors. Four robots move to the opposite rooms at once.")
     oracles = plr_jax.robot_distance_fns(problem)
-    options = {"domain": problem.workspace.bounds, "leaf": "cone", "max_bytes": _MAX_BYTES}
-    plrs = [plr_jax.construct(oracle, **options) for oracle in oracles]
+    plrs = [plr_jax.construct(oracle, problem.workspace.bounds, max_bytes=_MAX_BYTES) for oracle in oracles]
     typer.echo(f"  heuristic  a PLR for each robot, {sum(plr.num_bytes for plr in plrs):,} bytes in all")
     solution = solve(problem, plr_jax.BLOptions(), plr_jax.sum_of_distances(plrs))
     if solution.status is plr_jax.Status.INTERRUPTED:
