@@ -65,7 +65,7 @@ from typing import Any
 
 import lazy_loader
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 _import_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names are listed in __init__.pyi
 # Names that were in `plr_jax` in release 0.2, by the module that has them now. Release 0.4 removes this table.
 _MOVED = {

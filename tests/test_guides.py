@@ -24,6 +24,10 @@ RUNS += [pytest.param(name, False, marks=pytest.mark.full) for name in PAGES if 
 def test_every_public_name_is_in_a_guide():
     text = "\n".join(PAGES.values())
     assert {f"plr_jax.{n}" for n in plr_jax.__all__ if n != "guides"} <= set(re.findall(r"plr_jax\.\w+", text))
+    named = set(re.findall(r"\w+", text + guides.__doc__))
+    examples = (plr_jax.plot, plr_jax.scenes)  # one of their names stands for many
+    ours = [module for module in PUBLIC_MODULES if module not in examples]
+    assert not [f"{module.__name__}.{name}" for module in ours for name in module.__all__ if name not in named]
 
 
 def test_index_and_readme_name_all_pages():

@@ -19,6 +19,8 @@ def test_public_names_are_those_of_the_list():
     """To add or remove a public name, change the list too, and say so in the changelog."""
     found = [f"{module.__name__}.{name}" for module in MODULES for name in sorted(module.__all__)]
     assert LIST.read_text().split() == found
+    stated = (LIST.parent.parent / "STABILITY.md").read_text().split("## Version")[0]
+    assert {module.__name__.split(".")[-1] for module in MODULES} <= set(re.findall(r"`(\w+)", stated))
 
 
 @pytest.mark.parametrize(("name", "module"), DEPRECATED)

@@ -68,5 +68,5 @@ def test_api_pages_show_all_public_names(site):
         page = (site / "plr_jax" / "guides" / f"{name}.html").read_text()
         assert 'href="../../plr_jax.html#' in page or name == "command_line"
     page = (site / "plr_jax.html").read_text()
-    for name in ("PLR", "PairPLR", "VisibilityGraph", "GridDistance", "NumpyPLR", "PLRStack", "HeuristicFn"):
+    for name in ("PLR", "PairPLR", "VisibilityGraph", "GridDistance", "HeuristicFn"):
         assert f'id="{name}.__call__"' in page, name

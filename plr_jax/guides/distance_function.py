@@ -16,7 +16,7 @@ x = workspace.sample_free(1000, seed=0)  # points (n, 2), one a row
 distance = plr(x)  # (n,), workspace units; inf outside the domain
 lower, upper = plr.bounds(x)  # proven, also for the rounding of the query
 print(plr.num_bytes, plr.num_leaves, plr.max_error)
-print(plr_jax.metrics.error_map(plr, oracle, x))
+print(plr_jax.metrics.error_map(plr, oracle, x))  # an ErrorReport; metrics.error_grid returns a picture of errors
 ```
 
 # Maps
@@ -112,7 +112,7 @@ print(plr_jax.load("exits.plr").which(x[:3]), exits.which(x[:3]), exits.shortest
 `plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. The rules are in `plr_jax.plr`; each is a
 function of a `plr_jax.plr.CellFit`, the samples of a batch of cells. Fitting: `least_squares`. Which cell to split:
 `largest_error`, `center_error`, `maximum_depth`. Along which axis: `best_axis`, `cyclic_axis`. `executor` is for
-oracles that take minutes. Leaf classes are in `plr_jax.plr`, too.
+oracles that take minutes. `leaf=` also takes objects of the leaf classes `plr_jax.plr.Plane` and `Continuous`.
 
 ```python
 options = plr_jax.BuildOptions(should_split=plr_jax.plr.maximum_depth, split=plr_jax.plr.cyclic_axis)
