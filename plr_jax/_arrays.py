@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from functools import reduce
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -37,8 +38,13 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
         single = points.ndim == 1 and points.size == (dim or max(1, points.size))
         hint = f" Use {name}[None] for a single point." if single else ""
+        hint = f" Use {name}.T for rows of points." if _is_transposed(points, dim) else hint
         raise ValueError(f"{name} must have {expected}, got {points.shape}.{hint}")
     return points
+
+
+def _is_transposed(points: Shaped[np.ndarray, "..."], dim: int | None) -> bool:
+    return points.ndim == 2 and len(points) == dim and points.shape[1] > 3
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
@@ -136,7 +142,8 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
     if points.dtype.kind not in "iubf" and not points.dtype.name.startswith(("bfloat", "float8")):
         raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")
     if dim is not None and (points.ndim == 0 or points.shape[-1] != dim):
-        raise ValueError(f"Points must have shape (..., {dim}), got {points.shape}.")
+        hint = " Transpose them: one point a row." if _is_transposed(points, dim) else ""
+        raise ValueError(f"Points must have shape (..., {dim}), got {points.shape}.{hint}")
     return points if points.dtype in (np.float32, np.float64) else points.astype(np.float64)
 
 
@@ -182,7 +189,8 @@ def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> 
 
 def require_integer(name: str, value: object, least: int) -> None:
     if not (isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= least):
-        raise ValueError(f"{name} must be an integer >= {least}, got {shortened(value)}.")
+        hint = f" Use {int(value)}." if isinstance(value, float) and value.is_integer() and value >= least else ""
+        raise ValueError(f"{name} must be an integer >= {least}, got {shortened(value)}.{hint}")
 
 
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
@@ -245,9 +253,23 @@ def padded(
     return np.concatenate([rows, np.full((size - len(rows), *rows.shape[1:]), fill, rows.dtype)])
 
 
+def require_type(name: str, value: object, kind: Any, expected: str, advice: str = "") -> None:
+    """Raise a ``ValueError`` that states what is ``expected``, unless a value is an instance of ``kind``."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.{advice}")
+
+
+def require_choice(name: str, value: object, choices: Sequence[str | int]) -> None:
+    """Raise a ``ValueError`` that suggests a choice of similar spelling, unless a value is one of ``choices``."""
+    if not isinstance(value, str | int | np.integer) or isinstance(value, bool) or value not in choices:
+        close = get_close_matches(str(value).lower(), map(str, choices), 1)
+        hint = f" Did you mean {close[0]!r}?" if close and isinstance(value, str) else ""
+        *others, last = map(repr, choices)
+        raise ValueError(f"{name} must be {', '.join(others)} or {last}, got {shortened(value)}.{hint}")
+
+
 def as_bool(name: str, value: object) -> bool:
-    if not isinstance(value, bool | np.bool):
-        raise ValueError(f"{name} must be True or False, got {shortened(value)}.")
+    require_type(name, value, bool | np.bool, "True or False")
     return bool(value)
 
 
@@ -381,7 +403,8 @@ def as_list(name: str, value: object, expected: str, fits: Callable[[Any], bool]
     """
     items = list(value) if isinstance(value, Iterable) else []
     if not items:
-        raise ValueError(f"{name} must be a list of {expected}, got {shortened(value)}.")
+        hint = " Put a single one into a list." if not isinstance(value, Iterable) and fits(value) else ""
+        raise ValueError(f"{name} must be a list of {expected}, got {shortened(value)}.{hint}")
     for i, item in enumerate(items):
         if not fits(item):
             raise ValueError(f"{name} must be a list of {expected}, got {shortened(item)} at index {i}.")

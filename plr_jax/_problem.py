@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite, as_numbers, is_single, set_fields, shortened
+from plr_jax._arrays import as_finite, as_numbers, is_single, require_type, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, part_groups, require_workspace
 from plr_jax.robots import Configurations, Robot, check_body, footprint, smaller_angle
@@ -54,12 +54,11 @@ class Problem:
         rotation_weight: float | int | None = None,
     ):
         require_workspace(workspace)
-        if not isinstance(robots, Iterable):
-            raise ValueError(f"robots must be a list of robots, got {shortened(robots)}.")
+        require_type("robots", robots, Iterable, "a list of robots")
         robots = tuple(robots)
         for i, robot in enumerate(robots):
             if not isinstance(robot, Robot):
-                raise ValueError(f"Robot {i} must be a Robot such as PointRobot(), got {robot!r}.")
+                raise ValueError(f"Robot {i} must be a Robot, such as DiscRobot(radius), got {robot!r}.")
             check_body(f"Robot {i}", robot)
         if not robots:
             raise ValueError("A problem needs at least one robot, got none.")
@@ -218,10 +217,10 @@ def _require_free(problem: Problem, name: str) -> None:
         if inside < -workspace.tolerance:
             is_in = workspace.bounds.contains(q[None, :2])[0]
             place = f" by {-inside:.3g} at {q.tolist()}" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
-            raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}.")
+            raise ValueError(f"Robot {i} {_VERBS[name]} outside the bounds{place}: move it inside.")
         if clearance < -workspace.tolerance:
             place = f"at {q.tolist()} (clearance {clearance:.3g})"
-            raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}.")
+            raise ValueError(f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} {place}: move it.")
 
 
 def _clearances(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:

@@ -36,8 +36,7 @@ class Progress:
     def update(self, count: int = 1, note: str = "") -> None:
         """Add to the count; a ``note`` replaces the text that is shown after the count."""
         if self._bar is not None:
-            if note:
-                self._bar.set_postfix_str(note, refresh=False)
+            self._bar.postfix = note or self._bar.postfix
             self._bar.update(count)
 
 

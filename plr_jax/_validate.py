@@ -86,13 +86,14 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     if colliding := [encounter for encounter in encounters if encounter.smallest.min() < -encounter.tolerance]:
         return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
     closest = min(encounters, key=lambda encounter: encounter.smallest.min())
-    clearance = float(closest.smallest.min())
+    clearance = max(float(closest.smallest.min()), 0.0)  # objects that touch may overlap by rounding
     if fault := _find_crossing(problem, path, margin) or _find_wrong_end(problem, path):
         i, when, message = fault
         return ValidationReport(False, cost, clearance, message, (i,), when, tuple(path[int(when), i, :2].tolist()))
     who, step = closest.who, closest.smallest.argmin()
     pair = f" {who[0]} to an obstacle or the bounds" if len(who) == 1 else f"s {who[0]} and {who[1]}"
-    message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
+    shown = clearance if clearance > closest.tolerance else 0.0
+    message = f"Valid: clearance {shown:.4g}, of robot{pair} in the motion from step {step}."
     return ValidationReport(True, cost, clearance, message, who)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import require_type
 from plr_jax.plr import PLR
 
 _CACHED_STATES = 2**16  # planners ask for the bounds of most states repeatedly
@@ -57,8 +57,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
     except ImportError as error:
         message = "ompl_objective needs OMPL, which is not installed: pip install 'plr-jax[ompl]', or ompl==2.0.1."
         raise ImportError(message) from error
-    if not isinstance(plr, PLR):
-        raise ValueError(f"plr must be a PLR, got {shortened(plr)}.")
+    require_type("plr", plr, PLR, "a PLR")
     plr.lower  # noqa: B018  raises if there are no certificates
     place = _coordinates_of(base, space_information.getStateSpace(), plr.dim) if coordinates is None else coordinates
 

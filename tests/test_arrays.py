@@ -16,6 +16,8 @@ def test_wrong_value_raises():
     for function, arguments, values, message in [
         ("as_points", [2], [[1, 2]], r"x must have shape \(n, 2\), got \(2,\)\. Use x\[None\] for a single point"),
         ("as_points", [2], [[1, 2, 3]], r"got \(3,\)\.$"),
+        ("as_points", [2], [np.zeros((2, 5))], r"got \(2, 5\)\. Use x\.T for rows of points"),
+        ("as_points", [2], [np.zeros((2, 3))], r"got \(2, 3\)\.$"),  # two points of a volume
         ("as_points", [2], [[[1, 2, 3]]], r"shape \(n, 2\), got \(1, 3\)"),
         ("as_points", [], [np.zeros((4, 0))], r"shape \(n, dim\), got \(4, 0\)"),
         ("as_points", [2], ["points"], r"x must be numbers of shape \(n, 2\), got 'points'"),
@@ -127,3 +129,26 @@ def test_deadline_without_enough_time_raises(monkeypatch):
     _arrays.require_time(100.0, "it was done")
     with pytest.raises(TimeoutError):
         _arrays.require_time(99.5, "it was done")
+
+
+def test_misspelled_choice_gets_a_suggestion():
+    for value, message in [
+        ("Nearst", r"^mode must be 'bilinear', 'nearest' or 4, got 'Nearst'\. Did you mean 'nearest'\?$"),
+        ("?", r"^mode must be 'bilinear', 'nearest' or 4, got '\?'\.$"),
+        (True, "got True"),
+        (8, r"got 8\.$"),
+        (["nearest"], "got "),
+        (None, r"got None\.$"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            _arrays.require_choice("mode", value, ("bilinear", "nearest", 4))
+    _arrays.require_choice("mode", np.int64(4), ("bilinear", "nearest", 4))
+
+
+def test_integers_and_single_items_get_advice():
+    with pytest.raises(ValueError, match=r"max_bytes must be an integer >= 1, got 1000\.0\. Use 1000\.$"):
+        _arrays.require_integer("max_bytes", 1e3, 1)
+    with pytest.raises(ValueError, match=r"got 0\.5\.$"):
+        _arrays.require_integer("max_bytes", 0.5, 1)
+    with pytest.raises(ValueError, match="Put a single one into a list"):
+        _arrays.as_list("oracles", len, "functions", callable)

@@ -57,7 +57,7 @@ IMPOSSIBLE = [
     (FINE, [("left", "top")], POINT, "goals must be numbers"),
     (np.empty((0, 2)), np.empty((0, 2)), (), "at least one robot"),
     ([(0.1, 0.1), (0.33, 0.5)], [(0.1, 0.3), (0.1, 0.8)], DISCS,
-     r"^Robot 1 starts in collision with obstacle 0 at \[0.33, 0.5\] \(clearance -0.03\)\.$"),
+     r"^Robot 1 starts in collision with obstacle 0 at \[0.33, 0.5\] \(clearance -0.03\): move it\.$"),
     ([(0.1, 0.1), (0.1, 0.4)], [(0.09, 0.1), (0.1, 0.8)], DISCS,
      r"Robot 0 has its goal outside the bounds by 0.01"),
     ([(0.1, 0.1), (0.1, 0.27)], [(0.9, 0.1), (0.9, 0.5)], DISCS,

@@ -40,6 +40,12 @@ def test_free_path_is_valid_with_cost_and_clearance():
     assert alone.valid and alone.cost == 0 and alone.clearance == pytest.approx(0.7)
 
 
+def test_robots_that_touch_have_clearance_zero():
+    result = report([DISC], [(1, 2.5)], [(3, 2.5 - 1e-10)])
+    assert result.valid and result.clearance >= 0
+    assert result.message.startswith("Valid: clearance 0, of robot 0")
+
+
 def test_clearance_holds_between_rows_and_during_turns():
     assert report([DISC], [(1, 2.6)], [(3, 2.6)]).clearance == pytest.approx(0.1)
     diagonal = np.hypot(0.9, 0.3) / 2

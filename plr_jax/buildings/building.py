@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Int
 
 from plr_jax import _arrays
-from plr_jax._arrays import shortened
+from plr_jax._arrays import require_type, shortened
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
 from plr_jax.geometry.corners import CornerVisibility, with_places
@@ -44,8 +44,7 @@ class Building(_arrays.PickledWithoutCaches):
 
     def __init__(self, floors: Iterable[Workspace], links: Iterable[Link] = ()):
         for name, value in (("floors", floors), ("links", links)):
-            if not isinstance(value, Iterable):
-                raise ValueError(f"{name} must be a list, got {shortened(value)}.")
+            require_type(name, value, Iterable, "a list")
         all_floors, all_links = tuple(floors), tuple(links)
         for floor in all_floors:
             require_workspace(floor)

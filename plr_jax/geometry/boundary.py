@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from plr_jax._arrays import PickledWithoutCaches, as_numbers, batches, index_of, shortened
+from plr_jax._arrays import PickledWithoutCaches, as_numbers, batches, index_of, require_type, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import connected_groups
@@ -238,8 +238,7 @@ def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    if not isinstance(shapes, BaseGeometry | Iterable):
-        raise ValueError(f"{name}s must be a list of rings (n, 2) or Shapely polygons, got {shortened(shapes)}.")
+    require_type(f"{name}s", shapes, BaseGeometry | Iterable, "a list of rings (n, 2) or Shapely polygons")
     return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(flatten_collections(shapes)))
 
 

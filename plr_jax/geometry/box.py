@@ -55,6 +55,7 @@ class Box:
             return value
         try:
             lo, hi = value
+            len(lo)
         except (TypeError, ValueError):
             raise ValueError(f"{name} must be a Box or its corners (lo, hi), got {shortened(value)}.") from None
         return cls(lo, hi)

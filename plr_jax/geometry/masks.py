@@ -8,7 +8,15 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_cells, as_finite, as_numbers, ragged_indices, require_integer, shortened
+from plr_jax._arrays import (
+    as_cells,
+    as_finite,
+    as_numbers,
+    ragged_indices,
+    require_choice,
+    require_integer,
+    shortened,
+)
 from plr_jax._types import ArrayLike, Points
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
@@ -240,8 +248,7 @@ def placed_region(
     """
     # 1. Check the arguments.
     free = as_mask(free)
-    if row0 not in ("bottom", "top"):
-        raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
+    require_choice("row0", row0, ("bottom", "top"))
     require_integer("drop_specks", drop_specks, 0)
     tolerance, resolution = as_finite("tolerance", tolerance), as_finite("resolution", resolution, positive=True)
     pose = as_numbers("origin", origin, "(x, y) or (x, y, yaw)")

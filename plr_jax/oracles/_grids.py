@@ -73,7 +73,7 @@ class _CellGraph(ABC):
     def _set_goal(self, goal: ArrayLike) -> None:
         goal = _arrays.as_finite_point("The goal", self.bounds.settled(goal, self._are_in_free_cells), self.dim)
         if not self._are_in_free_cells(goal[None])[0]:
-            raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
+            raise ValueError(f"The goal must be a point in a free cell of {self.bounds}, got {goal.tolist()}.")
         _arrays.set_fields(self, goal=goal)
 
     def _are_in_free_cells(self, x: Points) -> Bool[np.ndarray, " n"]:
@@ -117,8 +117,7 @@ class GridGraph(_CellGraph):
     def __init__(
         self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4, squeeze: bool = False
     ):
-        if isinstance(connectivity, bool) or connectivity not in (4, 8):
-            raise ValueError(f"connectivity must be 4 or 8, got {_arrays.shortened(connectivity)}.")
+        _arrays.require_choice("connectivity", connectivity, (4, 8))
         if _arrays.as_bool("squeeze", squeeze) and connectivity == 4:
             raise ValueError("squeeze=True needs connectivity=8, with diagonal steps, got connectivity=4.")
         if not (cells := as_mask(free)).size:
@@ -214,8 +213,7 @@ class VoxelGraph(_CellGraph):
     dim: ClassVar[int] = 3
 
     def __init__(self, free: ArrayLike, goal: ArrayLike, moves: int = 26, bounds: Box | ArrayLike | None = None):
-        if isinstance(moves, bool) or moves not in _AXES:
-            raise ValueError(f"moves must be 6, 18 or 26, got {_arrays.shortened(moves)}.")
+        _arrays.require_choice("moves", moves, [*_AXES])
         grid = VoxelGrid.of(free, bounds, range(3, 4))
         _arrays.set_fields(self, grid=grid, free=grid.free, bounds=grid.bounds, moves=int(moves), _padded=grid.padded)
         self._set_goal(goal)

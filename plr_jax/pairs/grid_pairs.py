@@ -268,8 +268,7 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
         try:
             graph = GridGraph(graph)
         except ValueError as error:
-            message = f"graph must be a grid, such as GridGraph(free), or its free cells, got {shortened(graph)}."
-            raise ValueError(message) from error
+            raise ValueError(f"graph must be a grid, such as GridGraph(free), or its free cells. {error}") from error
     if graph.squeeze:
         reason = "its paths turn at other corners than those of the tables"
         raise ValueError(f"graph must not have squeeze=True: {reason}.")

@@ -27,8 +27,8 @@ _MOST_BYTES = 2**26  # largest file: a path of about three million numbers
 class Status(enum.StrEnum):
     """Reason why a planner ended; its value is a phrase for messages."""
 
-    SOLVED = "a path was found, within the cost factor if one is set"
-    EXHAUSTED = "no search is left, and none found a path on the lattices, within the cost factor if one is set"
+    SOLVED = "a path was found"  # within the cost factor, if one is set
+    EXHAUSTED = "no search is left that could find a path, or one of less cost"
     TIME_LIMIT = "the time limit was reached"
     EXPANSION_LIMIT = "the limit on expansions was reached"
     MEMORY_LIMIT = "the memory limit was reached, or a search left out children to save memory"

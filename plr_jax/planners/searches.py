@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plr_jax._arrays import as_number, shortened
+from plr_jax._arrays import as_number, require_choice, require_type, shortened
 from plr_jax._problem import Problem, require_problem
 from plr_jax._progress import Progress
 from plr_jax._types import HeuristicFn
@@ -85,15 +85,16 @@ class BLOptions:
             expected, weight = "None or a number from 0 to 1e6", self.heuristic_weight
             weight = as_number("heuristic_weight", weight, expected, lambda weight: 0 <= weight <= 1e6)
             object.__setattr__(self, "heuristic_weight", weight)
-        is_some = isinstance(self.searchers, tuple | list | set | frozenset) and len(self.searchers) > 0
-        if not is_some or any(name not in [*SEARCHES] for name in self.searchers):
-            raise ValueError(f"searchers must name at least one of {tuple(SEARCHES)}, got {self.searchers!r}.")
+        if not isinstance(self.searchers, tuple | list | set | frozenset) or not self.searchers:
+            got = f"got {shortened(self.searchers)}"
+            raise ValueError(f"searchers must be a tuple of at least one of {tuple(SEARCHES)}, {got}.")
+        for name in self.searchers:
+            require_choice("Each of searchers", name, [*SEARCHES])
 
 
 def require_problem_and_options(problem: Problem, options: BLOptions) -> None:
     require_problem(problem)
-    if not isinstance(options, BLOptions):
-        raise ValueError(f"options must be BLOptions(...), got {shortened(options)}.")
+    require_type("options", options, BLOptions, "BLOptions(...)")
 
 
 @dataclass(eq=False)

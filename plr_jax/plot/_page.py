@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import require_type, shortened
 from plr_jax._files import file_path, write_atomically
 from plr_jax.buildings import BuildingPLR
 from plr_jax.geometry.box import Box
@@ -125,8 +125,7 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
         raise ValueError(f"A page needs a PLR or a PairPLR in the plane, got {shortened(source)}.")
     if source.domain.dim != 2:
         raise ValueError(f"A page needs a PLR of 2 axes, got one of {source.domain.dim}: use plot_contours.")
-    if not isinstance(workspace, Workspace | None):
-        raise ValueError(f"workspace must be a Workspace whose walls are drawn, or None, got {shortened(workspace)}.")
+    require_type("workspace", workspace, Workspace | None, "a Workspace whose walls are drawn, or None")
     # 1. Write what field.js shows as JavaScript: name and walls, and the function. Pairs and plain cones are files,
     #    which the readers below decode. Other PLRs become code.
     data = source.to_bytes()

@@ -219,7 +219,7 @@ def _build_leaves(
     ``root``, if known, has the corners (or the goal) to which shortest paths from points of the domain may go first.
     """
     # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
-    model = leaf_model(leaf)
+    model = leaf_model(leaf, "best")
     model.check_domain(domain)
     table_corners(domain)  # raises if 32-bit queries cannot represent the domain
     require_integer("seed", seed, 0)

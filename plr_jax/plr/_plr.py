@@ -484,7 +484,7 @@ def from_bytes(data: bytes) -> PLR:
     floats, or the lookup tables would be far larger than usual for a file of this size.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
-        raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
+        raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}. Use load for a file's name.")
     data = bytes(data)
     return plr_of_leaves(decode(data), data=data)
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from plr_jax._arrays import as_points, shortened
+from plr_jax._arrays import as_points, require_type
 from plr_jax._types import ArrayLike, Points
 from plr_jax.geometry.graph import first_visible_in_parts
 from plr_jax.geometry.vectors import distances_between
@@ -102,16 +102,14 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
 
 def trace_by_sources(plr: PLR, starts: ArrayLike, workspace: "Workspace | None") -> tuple[Traces, Indices]:
     """Trace paths as :func:`trace`; also return the index of the first source on each path, -1 without a path."""
-    if not isinstance(plr, PLR):
-        raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
+    require_type("plr", plr, PLR, "a PLR of cones")
     as_sourced(plr.leaf)
     sources, source_of_leaf = plr.stored.sources, plr.stored.source
     rounding = _ROUNDING * float(plr.domain.width.max())
     if workspace is not None:
         from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
 
-        if not isinstance(workspace, Workspace):
-            raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
+        require_type("workspace", workspace, Workspace, "a Workspace or None")
         if plr.dim != 2:
             raise ValueError(f"A workspace needs a PLR in the plane, got {plr.dim} dimensions: trace without it.")
     starts = plr.domain.settled(starts) if workspace is None else workspace.settled(starts, plr.domain)

@@ -6,7 +6,7 @@ from typing import Literal, TypeAlias, cast, get_args
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import require_choice
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
 
@@ -29,8 +29,7 @@ Outside: TypeAlias = Literal["inf", "clamp", "nan"]
 
 
 def as_outside(outside: str) -> Outside:
-    if outside not in get_args(Outside):
-        raise ValueError(f"outside must be 'inf', 'clamp' or 'nan', got {shortened(outside)}.")
+    require_choice("outside", outside, get_args(Outside))
     return cast(Outside, outside)
 
 

@@ -174,7 +174,7 @@ def cost_distance(
     if heights is not None:
         height = raster_values("heights", heights)
         if height.shape != cost.shape:
-            raise ValueError(f"heights must have shape {cost.shape}, got {height.shape}.")
+            raise ValueError(f"heights must have shape {cost.shape}, like costs, got {height.shape}.")
         _require_aligned("heights", heights, costs)
         height = height[flips]
         cost = np.where(np.isfinite(height), cost, np.inf)

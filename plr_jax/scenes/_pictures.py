@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_bool, as_finite, as_number, shortened
+from plr_jax._arrays import as_bool, as_finite, as_number, require_choice, shortened
 from plr_jax._files import StrPath, errors_named, yaml_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.masks import require_resolved_pixels
@@ -193,7 +193,8 @@ def read_map_server(
     - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
 
     ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel, about which the map is rotated
-    by ``yaw`` radians counterclockwise. The bounds of the workspace are the bounding box of the free pixels.
+    by ``yaw`` radians counterclockwise. Before, the lowest row has the smallest ``y``, as in :func:`read_image`. The
+    bounds of the workspace are the bounding box of the free pixels.
 
     The ``.yaml`` file's ``image`` is relative to its folder. Defaults are ``negate`` 0, ``occupied_thresh`` 0.65,
     ``free_thresh`` 0.196 and ``mode`` ``trinary``. ``unknown_is_free`` says whether unknown pixels are free or
@@ -274,8 +275,7 @@ class _MapServer:
         if not image.exists():
             raise FileNotFoundError(errno.ENOENT, f"No such picture, named as image in {path}", str(image))
         # 2. Check what its pixels mean, and where it lies.
-        if (mode := entry.get("mode", "trinary")) not in _MODES:
-            raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
+        require_choice("mode", mode := entry.get("mode", "trinary"), _MODES)
         if (negate := entry.get("negate", 0)) not in (0, 1):
             raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
         resolution = as_finite("resolution", _number("resolution", entry["resolution"]), positive=True)

@@ -9,13 +9,13 @@ import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
-from plr_jax._arrays import as_numbers, shortened
+from plr_jax._arrays import as_numbers, require_choice, shortened
 from plr_jax._files import StrPath, errors_named, json_of, text_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import as_polygon, flatten_collections
@@ -135,8 +135,7 @@ def _workspace(path: Path, geometry: Any, polygons: str, bounds: Bounds, squeeze
     ``squeeze`` says whether paths may pass between obstacles that touch in a point. A warning tells if coordinates
     look like degrees.
     """
-    if polygons not in ("obstacles", "free"):
-        raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
+    require_choice("polygons", polygons, get_args(Role))
     parts = flatten_collections(shapely.force_2d(geometry), BaseMultipartGeometry)
     shapes = [as_polygon(f"polygon {i}", part) for i, part in enumerate(parts) if not part.is_empty]
     if not shapes:
@@ -183,7 +182,9 @@ def read_workspace(path: StrPath | BaseGeometry, **options: Any) -> Workspace:
     - Moving AI grid, ``.map``: :func:`read_map`; polygons with holes, ``.json``: :func:`read_polygons`
     - scene, ``.json``: :func:`load`; Shapely polygons of free space (no file): :meth:`Workspace.from_polygons`
 
-    Options are those of the reader. A file or an option that is not supported raises ``ValueError``.
+    Options are those of the reader. Pictures have their lowest row at the lowest ``y``. So do ``.map`` grids with
+    ``row0="top"``; by default, their first row is at the lowest ``y``. Other files have coordinates. A file or an
+    option that is not supported raises ``ValueError``.
     """
     path = path if isinstance(path, BaseGeometry) else Path(path)
     reader = _reader_of(path) if isinstance(path, Path) else Workspace.from_polygons

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from plr_jax._arrays import as_booleans, as_finite, as_points, batches, set_fields, shortened
+from plr_jax._arrays import as_booleans, as_finite, as_points, batches, require_type, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 
@@ -245,7 +245,6 @@ def require_space(space: object) -> None:
         expected = "a configuration space with a domain, a motion_cost and is_free, such as PlaneSpace(workspace)"
         raise ValueError(f"space must be {expected}, got {shortened(space)}.")
     domain, cost = space.domain, space.motion_cost
-    if not isinstance(domain, Box):
-        raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")
+    require_type("The space's domain", domain, Box, "a Box")
     if not isinstance(cost, MotionCost) or cost.dof != domain.dim:
         raise ValueError(f"A space's motion_cost must be a MotionCost of {domain.dim} axes, got {shortened(cost)}.")

@@ -3,14 +3,14 @@
 import warnings
 from dataclasses import field
 from functools import partial
-from typing import Any, Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from plr_jax._arrays import require_integer, shortened
+from plr_jax._arrays import require_choice, require_integer
 from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, GridPaths, convex_corners
@@ -137,8 +137,7 @@ def grid_distance(
         expected = "free must be booleans of shape (h, w), rows along y, with at least one cell"
         raise ValueError(f"{expected}, got {mask.dtype} of shape {mask.shape}: is it `grid == 0`, one map at a time?")
     h, w = mask.shape
-    if not isinstance(moves, str | int) or moves not in ("any-angle", 4, 8):
-        raise ValueError(f'moves must be "any-angle", 4 or 8, got {shortened(moves)}.')
+    require_choice("moves", moves, get_args(Moves))
     if max_corners is not None:
         require_integer("max_corners", max_corners, 1)
         if moves != "any-angle":

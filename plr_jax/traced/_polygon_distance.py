@@ -106,7 +106,8 @@ def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bou
     """
     polygons = as_floats(as_points("polygons", polygons))
     if polygons.ndim != 3:
-        raise ValueError(f"polygons must have shape (m, k, 2), got {polygons.shape}: use jax.vmap for several maps.")
+        advice = "use polygons[None] for one polygon, jax.vmap for several maps"
+        raise ValueError(f"polygons must have shape (m, k, 2), got {polygons.shape}: {advice}.")
     if (count := polygons.shape[0] * polygons.shape[1]) > MOST_VERTICES:
         got = f"{count:,} with padding, in an array of shape {polygons.shape}"
         advice = "use VisibilityGraph, whose vertex_gradient has the derivatives"

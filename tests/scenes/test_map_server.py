@@ -146,7 +146,7 @@ def test_broken_map_raises(tmp_path):
         (YAML.replace("2.0, ", "x, "), "origin must be a finite number, got 'x'"),
         (YAML.replace("negate: 0", "negate: 2"), "negate must be 0 or 1"),
         (YAML.replace("0.65", "high"), "occupied_thresh must be a finite number"),
-        (YAML + "mode: new\n", "mode must be one of trinary, scale, raw"),
+        (YAML + "mode: new\n", "mode must be 'trinary', 'scale' or 'raw'"),
         (YAML.replace("map.png", "[map.png]"), r"image must be the name of a picture, got \['map.png'\]"),
         (YAML.replace("map.png", "''"), "image must be the name of a picture, got ''"),
         (YAML.replace("map.png", ".."), "image must be the name of a picture, got '..'"),

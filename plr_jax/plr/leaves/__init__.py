@@ -1,6 +1,6 @@
 """The kinds of functions that leaves of a PLR can hold (leaf models), with their names and codes in files."""
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import require_choice
 from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.leaves.cone.codec import ConeFiles, read_goals, write_goals
@@ -22,18 +22,14 @@ def leaf_names() -> list[str]:
     return [model.name for model in _MODELS]
 
 
-def leaf_model(leaf: LeafModel | str) -> LeafModel:
+def leaf_model(leaf: LeafModel | str, *other_names: str) -> LeafModel:
     """Return the leaf model with the name ``leaf``, or ``leaf`` itself if it is a leaf model with a code in files.
 
-    ``ValueError`` for anything else.
+    ``ValueError`` for anything else; the message also lists ``other_names``, which the caller takes.
     """
     models = {model.name: model for model in _MODELS}
-    if isinstance(leaf, str) and leaf in models:
-        return models[leaf]
-    if isinstance(leaf, LeafModel) and leaf.name in models:  # files store the name's code
-        return leaf
-    expected = f"a leaf model or its name, with construct also 'best', one of {', '.join(map(repr, models))}"
-    raise ValueError(f"leaf must be {expected}, got {shortened(leaf)}.")
+    require_choice("leaf", leaf.name if isinstance(leaf, LeafModel) else leaf, [*models, *other_names])
+    return leaf if isinstance(leaf, LeafModel) else models[leaf]
 
 
 def code_of_leaf(leaf: LeafModel) -> int:
