@@ -22,11 +22,11 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 # Maps
 
 A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads files, such as pictures, ROS
-`map_server` YAML, GeoJSON and WKT. `Workspace.from_mask(free)` takes pixels and
-`Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
-obstacles, with polygons inscribed in the arcs of the round corners, so distances are never too long. With
-`outside=True`, the polygons lie around the arcs, so paths keep the radius, up to rounding. `plr_jax.scenes` has
-ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may be periodic along some axes.
+`map_server` YAML, GeoJSON and WKT. In pictures, the top row has the highest `y`; in Moving AI's `.map`, the lowest,
+unless `row0="top"`. `Workspace.from_mask(free)` takes pixels and `Workspace.from_polygons(parts)` free space as
+polygons. For a disc, `workspace.inflate(radius)` grows obstacles by polygons inside the arcs of round corners, so
+distances are never too long. With `outside=True`, they lie around the arcs, so paths keep the radius, up to rounding.
+`plr_jax.scenes` has ready-made maps. A PLR's domain is a `plr_jax.Box` of any dimension; axes may be periodic.
 
 # Oracles
 

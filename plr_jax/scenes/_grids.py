@@ -18,28 +18,35 @@ _SMALL_LIST = 2**24  # voxels of a volume that a list of any size may have
 _VOXELS_PER_BYTE = 2**8  # most voxels per byte of a list, for larger volumes
 
 
-def read_map(path: StrPath, *, squeeze: bool = False) -> Workspace:
+def read_map(path: StrPath, *, row0: str = "bottom", squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace; its bounds are the bounding box of the free cells.
 
-    The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``. So a picture with
-    ``y`` up shows the map upside down. Cells are free if they are ``.`` or ``G`` (ground), or ``S`` (swamp, at no
-    extra cost). ``squeeze`` says whether a path may pass between two blocked cells that touch in one corner.
-    ``ValueError`` is raised if the file is not a Moving AI map, its rows do not match its header, or no cell is free.
+    Rows of the file go down, while ``y`` goes up. ``row0`` says where the first row is:
+
+    - ``"bottom"``: at the lowest ``y``. The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x
+      [y, y + 1]``, and the point ``(x, y)`` of a ``.scen`` file has its center at ``(x + 0.5, y + 0.5)``. Plots show
+      the map upside down.
+    - ``"top"``: at the highest ``y``, so that plots show the map upright. In a map of ``height`` rows, the point
+      ``(x, y)`` of a ``.scen`` file has its center at ``(x + 0.5, height - 0.5 - y)``.
+
+    Cells are free if they are ``.`` or ``G`` (ground), or ``S`` (swamp, at no extra cost). ``squeeze`` says whether a
+    path may pass between two blocked cells that touch in one corner. ``ValueError`` is raised if the file is not a
+    Moving AI map, its rows do not match its header, no cell is free, or ``row0`` is another word.
 
     References: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
     https://movingai.com/benchmarks/formats.html.
     """
     cells = read_cells(path)
     with errors_named(path):
-        return Workspace.from_mask(cells, tolerance=0, squeeze=squeeze)
+        return Workspace.from_mask(cells, row0=row0, tolerance=0, squeeze=squeeze)
 
 
 def read_cells(path: StrPath) -> Bool[np.ndarray, "rows columns"]:
     """Read which cells of a Moving AI ``.map`` grid are free, as a boolean array for :class:`GridGraph`.
 
-    Rows are in the order of the file. Cells and errors are as for :func:`read_map`. The starts, goals and published
-    lengths of a ``.scen`` file are ``np.loadtxt(path, skiprows=1, usecols=range(4, 9))``.
-    Its points are cells of a :class:`GridGraph`; add 0.5 for the centers of these cells in :func:`read_map`.
+    Rows are in the order of the file, so ``y`` goes down in it. Cells and errors are as for :func:`read_map`. The
+    starts, goals and published lengths of a ``.scen`` file are ``np.loadtxt(path, skiprows=1, usecols=range(4, 9))``.
+    Its points are cells of a :class:`GridGraph`; :func:`read_map` says where their centers are in a workspace.
     """
     with errors_named(path) as file:
         lines = text_of(file).splitlines()

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
+import plr_jax
 from plr_jax import scenes
 
 MAPS = ["dao/den009d", "dao/den101d", "dao/den312d", "dao/den520d", "da2/ht_store"]
@@ -36,6 +37,38 @@ def test_straight_walls_have_only_corner_points(tmp_path):
 def test_squeeze_is_passed_on(tmp_path):
     for squeeze in (True, False):
         assert read_grid(tmp_path / "touch.map", ".@", "@.", squeeze=squeeze).squeeze == squeeze
+
+
+def test_first_row_is_at_the_bottom_or_at_the_top(tmp_path):
+    rows = ["@....", "T.@..", "OWSG@"]
+    bottom, top = (read_grid(tmp_path / "small.map", *rows, row0=row0) for row0 in ("bottom", "top"))
+    cells = np.argwhere(scenes.read_cells(tmp_path / "small.map"))[:, ::-1]  # as points (x, y) of a .scen file
+    assert bottom.is_free(cells + 0.5).all()
+    assert top.is_free(np.stack([cells[:, 0] + 0.5, len(rows) - 0.5 - cells[:, 1]], axis=1)).all()
+    assert top.free_space.area == bottom.free_space.area == len(cells)
+    mirrored = shapely.transform(bottom.free_space, lambda points: [0, len(rows)] + points * [1, -1])
+    assert shapely.symmetric_difference(top.free_space, mirrored).area == 0
+    again = scenes.read_workspace(tmp_path / "small.map", row0="top")
+    assert again.free_space.equals(top.free_space) and again.bounds == top.bounds
+    with pytest.raises(
+        ValueError, match=r"small\.map: row0 must be 'bottom' or 'top', got 'Top'. Did you mean 'top'"
+    ):
+        scenes.read_map(tmp_path / "small.map", row0="Top")
+
+
+@pytest.mark.full
+def test_scenarios_agree_with_both_orders_of_rows(data_dir):
+    """Distances of a published problem's ends do not depend on which way y goes."""
+    path = data_dir / "movingai/dao/den312d.map"
+    scen = np.loadtxt(f"{path}.scen", skiprows=1, usecols=range(4, 9))[::200]
+    height = len(scenes.read_cells(path))
+    up, down = scenes.read_map(path, row0="top"), scenes.read_map(path)
+    for x0, y0, x1, y1, octile in scen:
+        lengths = [
+            plr_jax.VisibilityGraph(down, (x1 + 0.5, y1 + 0.5))(np.array([(x0 + 0.5, y0 + 0.5)]))[0],
+            plr_jax.VisibilityGraph(up, (x1 + 0.5, height - 0.5 - y1))(np.array([(x0 + 0.5, height - 0.5 - y0)]))[0],
+        ]
+        assert lengths[0] == pytest.approx(lengths[1]) and lengths[0] <= octile + 1e-6
 
 
 BROKEN = [
