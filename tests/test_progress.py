@@ -90,6 +90,7 @@ def test_bar_in_a_notebook_leaves_nothing(is_watched):
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(CELL)])
     client = Client(notebook, kernel_name="python3", timeout=300)
     with client.setup_kernel():
+        assert client.kc is not None
         client.kc.allow_stdin = is_watched
         client.execute_cell(notebook.cells[0], 0)
     outputs = notebook.cells[0].outputs

@@ -193,7 +193,8 @@ def read_map_server(
     - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
 
     ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel, about which the map is rotated
-    by ``yaw`` radians counterclockwise. The bounds of the workspace are the bounding box of the free pixels.
+    by ``yaw`` radians counterclockwise. Before, the lowest row has the smallest ``y``, as in :func:`read_image`. The
+    bounds of the workspace are the bounding box of the free pixels.
 
     The ``.yaml`` file's ``image`` is relative to its folder. Defaults are ``negate`` 0, ``occupied_thresh`` 0.65,
     ``free_thresh`` 0.196 and ``mode`` ``trinary``. ``unknown_is_free`` says whether unknown pixels are free or

@@ -272,7 +272,9 @@ def test_unreadable_file_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"a\.doc: expected a file that ends in one of \.map, \.json"):
         scenes.read_workspace(tmp_path / "a.doc")
     (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
-    with pytest.raises(ValueError, match=r"a\.map: expected options of this kind of file .squeeze., got resolution"):
+    with pytest.raises(
+        ValueError, match=r"a\.map: expected options of this kind of file .row0, squeeze., got resolution"
+    ):
         scenes.read_workspace(tmp_path / "a.map", resolution=2)
     for name in ("a.json", "a.yaml"):
         (tmp_path / name).write_text("[" * 10**5)
