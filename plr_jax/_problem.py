@@ -1,5 +1,6 @@
 """Planning problems (robots in a workspace, each with a start and a goal) and the cost of paths."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -85,6 +86,14 @@ class Problem:
 def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np.ndarray, " robots"]:
     weights = [robot.circumscribed_radius if weight is None else weight for robot in robots]
     return np.array(weights) * [robot.dof == 3 for robot in robots]
+
+
+def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
+    """Group robots by shape and rotation weight; return the indices of the robots with each such pair."""
+    kinds = defaultdict(list)
+    for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
+        kinds[kind].append(i)
+    return kinds
 
 
 def motion_costs(problem: Problem, q0: Configurations, q1: Configurations) -> Float[np.ndarray, "*batch"]:

@@ -13,7 +13,7 @@ of its Bernstein coefficients, the *control vectors*.
 
 from functools import reduce
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +23,8 @@ from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.graph import connected_groups
 from plr_jax.plr.leaf_faces import eliminate_constraints, nodes_in_faces, resolve_constraints
 
+Numbers: TypeAlias = Float[np.ndarray, " n"]
+Curve: TypeAlias = tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]  # breakpoints and values
 _MOST_WEIGHTS_OF_NODE = 2**8  # additions for each group of nodes in the elimination of step 3, which bounds its time
 # By the degree, along one axis: weights of the trapezoidal rule and of Simpson's rule, and the matrix from values at
 # equally spaced nodes to Bernstein coefficients. For degree 2, the middle one is 2 * f(1/2) - (f(0) + f(1)) / 2.
@@ -179,3 +181,26 @@ def _interpolation(degree: int, cell: Int[np.ndarray, " n"], t: Float[np.ndarray
     weight = basis(degree, t)
     num, size = weight.shape
     return csr_array((weight.ravel(), (np.repeat(np.arange(num), size), _nodes_of_cells(cell, size))), (num, nodes))
+
+
+def rescaling_of(lowest: Numbers, highest: Numbers, factor: Numbers) -> Curve:
+    """Return the breakpoints and the values of a piecewise linear function ``g`` such that ``g(u)`` is not too steep.
+
+    In cell ``i``, a function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
+    ``factor[i]`` times the slope allowed there. So ``g`` has slopes of at most ``1 / factor[i]`` between these two
+    values, and of at most 1 everywhere. Also, ``g(0)`` is 0.
+    """
+    # Between neighbor levels, g has the slope 1 / max(1, factors of all cells whose values include this interval). By
+    # the chain rule, the slope of g(u) in a cell is the slope of g times the slope of u, so at most the allowed one.
+    # 1. The levels: where the values of cells that are too steep begin and end.
+    too_steep = np.argsort(factor, kind="stable")
+    too_steep = too_steep[factor[too_steep] > 1]
+    level = np.unique(np.concatenate([lowest[too_steep], highest[too_steep], [lowest.min(), 0.0, highest.max()]]))
+    # 2. The largest factor between neighbor levels: cells come by ascending factor, so the last one to write has it.
+    largest = np.ones(len(level) - 1)
+    first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
+    for cell in too_steep.tolist():
+        largest[first[cell] : last[cell]] = factor[cell]
+    # 3. The sum of slope times length, with g(0) = 0.
+    value = np.append(0.0, np.cumsum(np.diff(level) / largest))
+    return level, value - np.interp(0.0, level, value)

@@ -30,18 +30,16 @@ from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import cg, splu
 
-from plr_jax.eikonal.elements import FunctionSpace, function_space, to_bernstein
+from plr_jax.eikonal.elements import Curve, FunctionSpace, Numbers, function_space, rescaling_of, to_bernstein
 from plr_jax.eikonal.goals import nearest_goals
 from plr_jax.eikonal.mesh import CellIndex, Mesh, with_open_contacts
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost
 from plr_jax.spaces._costs import cost_bounds, pulled
 
 Motions: TypeAlias = Float[np.ndarray, "n dim"]
-Numbers: TypeAlias = Float[np.ndarray, " n"]
 Vectors: TypeAlias = Float[np.ndarray, "dim controls"]
 PerControl: TypeAlias = Float[np.ndarray, " controls"]
 Dofs: TypeAlias = Float[np.ndarray, " dofs"]
-Curve: TypeAlias = tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]  # breakpoints and values
 ROUNDING = 1e-9  # relative margin for rounding of values and slopes
 _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
@@ -139,29 +137,6 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     slope[is_flat] = 0.0
     least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
     return CellCosts(motion_cost, cost_map, lower, upper, slope, least, most)
-
-
-def rescaling_of(lowest: Numbers, highest: Numbers, factor: Numbers) -> Curve:
-    """Return the breakpoints and the values of a piecewise linear function ``g`` such that ``g(u)`` is not too steep.
-
-    In cell ``i``, a function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
-    ``factor[i]`` times the slope allowed there. So ``g`` has slopes of at most ``1 / factor[i]`` between these two
-    values, and of at most 1 everywhere. Also, ``g(0)`` is 0.
-    """
-    # Between neighbor levels, g has the slope 1 / max(1, factors of all cells whose values include this interval). By
-    # the chain rule, the slope of g(u) in a cell is the slope of g times the slope of u, so at most the allowed one.
-    # 1. The levels: where the values of cells that are too steep begin and end.
-    too_steep = np.argsort(factor, kind="stable")
-    too_steep = too_steep[factor[too_steep] > 1]
-    level = np.unique(np.concatenate([lowest[too_steep], highest[too_steep], [lowest.min(), 0.0, highest.max()]]))
-    # 2. The largest factor between neighbor levels: cells come by ascending factor, so the last one to write has it.
-    largest = np.ones(len(level) - 1)
-    first, last = np.searchsorted(level, lowest), np.searchsorted(level, highest)
-    for cell in too_steep.tolist():
-        largest[first[cell] : last[cell]] = factor[cell]
-    # 3. The sum of slope times length, with g(0) = 0.
-    value = np.append(0.0, np.cumsum(np.diff(level) / largest))
-    return level, value - np.interp(0.0, level, value)
 
 
 class SlopeSets(NamedTuple):
@@ -262,6 +237,7 @@ class SlopeProgram:
     weight: Dofs  # integrals of the basis functions
     goal: Dofs | csr_array  # maps dofs to the value at the goal; a matrix if there are several goals
     at: Float[np.ndarray, "goals dim"]  # the goals, fractions of the domain
+    goal_cells: CellIndex
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
@@ -284,11 +260,7 @@ class SlopeProgram:
         at_goals = functions.interpolation(homes, mesh.local(homes, goals))
         goal = at_goals.toarray()[0] if len(goals) == 1 else at_goals
         costs = cell_costs(space, cost_map, mesh)
-        return cls(functions, gradient, costs, volume, functions.basis_integrals(), goal, goals)
-
-    @cached_property
-    def goal_cells(self) -> CellIndex:
-        return self.space.mesh.locate(self.at)
+        return cls(functions, gradient, costs, volume, functions.basis_integrals(), goal, goals, homes)
 
     def below_goals(self, u: Dofs) -> Dofs:
         """Add a constant to a function so that its largest value at a goal is 0.

@@ -93,12 +93,11 @@ class FamilySamples(NamedTuple):
         """
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         # 1. Paths by corners. Of equally short ones, the first corner of the list is assigned last, and stays.
-        if len(self.first):
-            length = corner_distances[self.corner] + self.length
-            distance[self.box] = np.minimum.reduceat(length, self.first)
-            counts = np.diff(self.first, append=len(length))
-            shortest = np.flatnonzero((length == np.repeat(distance[self.box], counts)) & np.isfinite(length))[::-1]
-            vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
+        length = corner_distances[self.corner] + self.length
+        distance[self.box] = np.minimum.reduceat(length, self.first)
+        counts = np.diff(self.first, append=len(length))
+        shortest = np.flatnonzero((length == np.repeat(distance[self.box], counts)) & np.isfinite(length))[::-1]
+        vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
         # 2. Straight paths, which are shorter, replace them.
         lo, hi = _view_box(view)
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))

@@ -31,7 +31,6 @@ OfPieces: TypeAlias = Bool[np.ndarray, " pieces"]
 Indices: TypeAlias = Int[np.ndarray, " pieces"]
 Rows: TypeAlias = Int[np.ndarray, " cells"]
 Corners: TypeAlias = Float[np.ndarray, "cells 2"]
-Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 
 class Shadows(NamedTuple):
@@ -488,21 +487,3 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     return Sight(sources, turns.vertex >> 1, turns.vertex, Shadows.of(visibility.table), turns, triangulation)
-
-
-def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
-    """Return the pairs of a cell and a corner where shortest paths from the cell may turn first.
-
-    The result is three arrays ``(cell, corner, is_seen_by_all)``: two indices, and whether every point of the cell is
-    known to see the corner.
-    """
-    # 1. Unite both sources of a corner, 2 c and 2 c + 1, in pairs (piece, corner). If a piece has both, their
-    #    `by_all` are equal, since they are seen from the same viewpoint.
-    count = np.int64(len(cells.sight.turns.points) // 2)
-    of_piece, first = np.unique(cells.piece * count + (cells.source >> 1), return_index=True)
-    piece, corner = np.divmod(of_piece, count)
-    # 2. Unite the pieces of a cell. All of the cell sees a corner if as many pieces as the cell has see it wholly.
-    key, index = np.unique(cells.cell[piece] * count + corner, return_inverse=True)
-    cell, corner = np.divmod(key, count)
-    num_whole = np.bincount(index, cells.by_all[first], len(key))
-    return cell, corner, num_whole == np.diff(cells.first_piece)[cell]

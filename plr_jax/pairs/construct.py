@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array, vstack
 
 from plr_jax._arrays import concatenated, shortened, take_ragged
-from plr_jax.geometry.boundary import Boundary, vertices_near_edges
+from plr_jax.geometry.boundary import Boundary, Indices, vertices_near_edges
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
+from plr_jax.geometry.cell_sight import CellSources, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.graph import Arcs
@@ -36,7 +36,6 @@ from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
 PointIndices = Int[np.ndarray, "points"]  # a number for each point of an outline
-_Indices = Int[np.ndarray, " _"]
 # Finest lattice step at all, in domain widths. Rounded down to a power of two, it is more than 2**-38 widths, so
 # coordinates are at most 2**38 steps: files hold coordinates of up to 39 bits.
 _FINEST_EVER = 2.0**-37
@@ -169,6 +168,24 @@ class _ListTree:
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         leaves = np.flatnonzero((self.parent_key > key) & (self.is_leaf | (self.key <= key)))
         return self.cells[leaves], self.lists[leaves]
+
+
+def corners_of_cells(cells: CellSources) -> tuple[Indices, Indices, Bool[np.ndarray, " entries"]]:
+    """Return the pairs of a cell and a corner where shortest paths from the cell may turn first.
+
+    The result is three arrays ``(cell, corner, is_seen_by_all)``: two indices, and whether every point of the cell is
+    known to see the corner.
+    """
+    # 1. Unite both sources of a corner, 2 c and 2 c + 1, in pairs (piece, corner). If a piece has both, their
+    #    `by_all` are equal, since they are seen from the same viewpoint.
+    count = np.int64(len(cells.sight.turns.points) // 2)
+    of_piece, first = np.unique(cells.piece * count + (cells.source >> 1), return_index=True)
+    piece, corner = np.divmod(of_piece, count)
+    # 2. Unite the pieces of a cell. All of the cell sees a corner if as many pieces as the cell has see it wholly.
+    key, index = np.unique(cells.cell[piece] * count + corner, return_inverse=True)
+    cell, corner = np.divmod(key, count)
+    num_whole = np.bincount(index, cells.by_all[first], len(key))
+    return cell, corner, num_whole == np.diff(cells.first_piece)[cell]
 
 
 def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_bytes: Callable[[Lists], int]) -> Lists:
@@ -306,7 +323,7 @@ def construct_stored(
     return pairs_data, data
 
 
-def _edges_in_file(order: _Indices, first: _Indices, a: _Indices, b: _Indices) -> Int[np.ndarray, "edges 2"]:
+def _edges_in_file(order: Indices, first: Indices, a: Indices, b: Indices) -> Int[np.ndarray, "edges 2"]:
     """Return the edges between corners of the file, given the edges from ``a`` to ``b`` between workspace corners.
 
     The file has the corners ``order[first[c] : first[c + 1]]`` at corner ``c`` of the workspace. Columns of the

@@ -60,8 +60,7 @@ def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
         raise ValueError(f"it states {rows} x {columns} cells, not 1 to {MOST_CELLS}")
     body = BitReader(data[_HEADER.size : -_CRC.size])
     differs_from_above = body.read_set(rows * columns).reshape(rows, columns)
-    if not body.at_end():
-        raise ValueError("it holds more data than its cells need")
+    body.require_end("its cells need")
     return np.logical_xor.accumulate(differs_from_above, axis=0), connectivity
 
 

@@ -406,8 +406,7 @@ class PairsFileData:
         # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Files of release 0.1
         #    may have the pairs in a layer of their own, with a rounding error that counts instead.
         if others:
-            if not body.at_end():
-                raise ValueError("it holds more data than its outline needs")
+            body.require_end("its outline needs")
             (body,) = others
             rounding = _read_rounding(body)
         number = body.read_members(num_pairs := comb(count, 2))
@@ -421,15 +420,13 @@ class PairsFileData:
         first_number = np.arange(count) * np.arange(-1, count - 1) // 2  # of the pairs of each j
         j = np.searchsorted(first_number, number, side="right") - 1
         edges = np.stack([number - first_number[j], j], axis=1)
-        if not body.at_end():
-            raise ValueError("it holds more data than its corners need")
+        body.require_end("its corners need")
         # 3. Read the tree and the leaves' lists.
         tree = read_tree(lists, 2)
         if (leaves := len(tree.node_of_leaf)) > most_leaves(count):
             raise ValueError(f"it has {leaves:,} leaves and {count:,} corners, more than tables are made of")
         listed = _read_lists(lists, tree, count, max(_LEAST_ENTRIES, _MOST_ENTRIES_A_BYTE * len(data)))
-        if not lists.at_end():
-            raise ValueError("it holds more data than its leaves need")
+        lists.require_end("its leaves need")
         return PairsFileData(domain, outline, corner, edges, tree, listed, rounding, container.label, places, arcs)
 
 

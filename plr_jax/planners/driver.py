@@ -9,13 +9,13 @@ from functools import partial
 
 import numpy as np
 
-from plr_jax._problem import ROUNDING, JointPath, Problem, makespan, motion_costs, path_cost
+from plr_jax._problem import ROUNDING, JointPath, Problem, makespan, motion_costs, path_cost, robot_kinds
 from plr_jax._progress import Progress
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import SearchBudget, Solution, Stats, Status, make_solution, straight_line_bound
-from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations, robot_kinds
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.searches import SEARCHES, BLOptions, Searches, num_bytes, require_problem_and_options
 from plr_jax.planners.sequential import sequential_path, with_early_departures
@@ -51,10 +51,10 @@ _SEQUENTIAL = "sequential"
 _FEW_LATTICES = 3  # lattices that are tried for a cheaper path than the sequential one
 _SEQUENTIAL_ROWS = 100  # rows into which the sequential path is divided before it is shortened
 _MAX_REPORTED_BYTES = 1 << 60
-_DEFAULTS = BLOptions()
+DEFAULTS = BLOptions()
 
 
-def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = _DEFAULTS) -> Solution:
+def bl_plan(problem: Problem, heuristic: HeuristicFn | None = None, options: BLOptions = DEFAULTS) -> Solution:
     """Plan collision-free paths for all robots of a problem, from their starts to their goals.
 
     The common call is ``solution = bl_plan(problem)``. Then ``solution.path`` is an array ``(steps, robots, dof)`` or
@@ -157,7 +157,7 @@ class Run:
         Return SOLVED if the path needs no improvement, else None.
         """
         # 1. Record the path, if there is one. A user who leaves out a default search wants to see the rest alone.
-        if {*_DEFAULTS.searchers} <= {*self.options.searchers}:
+        if {*DEFAULTS.searchers} <= {*self.options.searchers}:
             if (path := sequential_path(self.problem)) is not None:
                 # Early departures take up to a tenth of a second: until then, an interrupt keeps the path as it is.
                 self.record(path, _SEQUENTIAL, math.inf)

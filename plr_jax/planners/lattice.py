@@ -20,7 +20,6 @@ r"""Lattices: the configurations that robots visit in a search, and the motions 
 """
 
 import math
-from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
@@ -31,7 +30,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import csgraph, csr_array
 
 from plr_jax._arrays import batches, ragged_indices, require_time, take_ragged
-from plr_jax._problem import Problem, straight_costs
+from plr_jax._problem import Problem, robot_kinds, straight_costs
 from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import Configurations, IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
@@ -497,11 +496,3 @@ class JointLattice:
         motions_a = qa[near, None, None], a.q[a.child[state[near, i]]][:, :, None]
         motions_b = qb[near, None, None], b.q[b.child[state[near, j]]][:, None, :]
         return near, ~self.test.apart(i, *motions_a, j, *motions_b)
-
-
-def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Group robots by shape and rotation weight; return the indices of the robots with each such pair."""
-    kinds = defaultdict(list)
-    for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
-        kinds[kind].append(i)
-    return kinds

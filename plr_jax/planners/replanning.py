@@ -14,13 +14,12 @@ from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike
 from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import Solution, Stats, Status, make_solution, straight_line_bound
-from plr_jax.planners.driver import bl_plan, first_step
+from plr_jax.planners.driver import DEFAULTS, bl_plan, first_step
 from plr_jax.planners.searches import BLOptions, require_problem_and_options
 from plr_jax.planners.through_time import ROWS_PER_STEP, Motion, Timetable, plan_through_time, subdivided
 
 NextGoalFn: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
 PlanFn: TypeAlias = Callable[[Problem], Solution]
-_DEFAULT = BLOptions()
 _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before the whole team is planned
 # For `replan`:
 _MOST_STATES = 20_000  # most states expanded for one robot
@@ -33,7 +32,7 @@ _MOST_IDLE = 5  # how often the next arrival is put off, or none is planned, bef
 
 
 def replan(
-    problem: Problem, solution: Solution, at: float | int, options: BLOptions = _DEFAULT, standing: Sequence[int] = ()
+    problem: Problem, solution: Solution, at: float | int, options: BLOptions = DEFAULTS, standing: Sequence[int] = ()
 ) -> Solution:
     """Replan a moving team after a change; robots keep motions that still lead to their goals, if possible.
 
@@ -193,7 +192,7 @@ class LifelongRun:
 
 
 def lifelong(
-    problem: Problem, next_goal: NextGoalFn, num_goals: int, options: BLOptions = _DEFAULT, plan: PlanFn | None = None
+    problem: Problem, next_goal: NextGoalFn, num_goals: int, options: BLOptions = DEFAULTS, plan: PlanFn | None = None
 ) -> LifelongRun:
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the other robots go on.
 

@@ -23,13 +23,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from plr_jax._arrays import as_number, require_choice, require_type, shortened
-from plr_jax._problem import Problem, require_problem
+from plr_jax._problem import Problem, require_problem, robot_kinds
 from plr_jax._progress import Progress
 from plr_jax._types import HeuristicFn
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.best_first import BestFirstSearch, tabulate
 from plr_jax.planners.lacam import LaCAM
-from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations, robot_kinds
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, num_configurations
 
 _TURN_GROWTH = 1.5  # ratio of the lengths of consecutive turns
 # Memory:

@@ -100,8 +100,7 @@ def decode(data: bytes) -> DecodedFile:
         goals = read_goals(body, int(np.count_nonzero(stored.sources.is_root)))
         stored = replace(stored, sources=replace(stored.sources, goals=goals))
     cut_off = body.read_set(len(cells)) if container.has_cut_off else None
-    if not body.at_end():
-        raise ValueError("it holds more data than its leaves need")
+    body.require_end("its leaves need")
     return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, straight, container.folding, cut_off)
 
 

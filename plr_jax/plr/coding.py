@@ -207,6 +207,11 @@ class BitReader:
         """Return whether all bits were read, except for zeros that pad the last byte."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
 
+    def require_end(self, needed_by: str) -> None:
+        """Raise a ``ValueError`` unless all bits were read; ``needed_by`` says for what, as in "its leaves need"."""
+        if not self.at_end():
+            raise ValueError(f"it holds more data than {needed_by}")
+
 
 def bits_of_floats(values: Float[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     return values.astype(np.float32).view(np.uint32).astype(np.int64)

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from plr_jax._arrays import padded, padded_size
+from plr_jax._arrays import padded, padded_size, slices
 from plr_jax.plr.query import bounds_of_tables, evaluate_tables
 from plr_jax.plr.tables import Tables
 
@@ -37,11 +37,10 @@ class TableStack:
                 need = f"The PLR of robot {i} needs {plr.dim} coordinates"
                 raise ValueError(f"{need}, got configurations of {q.shape[2]}.")
         distances = np.empty(q.shape[1::-1])  # a row for each robot
-        starts = range(0, len(q), _CHUNK)
         # Dispatch all calls before waiting for the first result.
-        answers = [self._answer(q[begin : begin + _CHUNK]) for begin in starts]
-        for begin, answer in zip(starts, answers, strict=True):
-            for column, of_robot in zip(distances[:, begin : begin + _CHUNK], answer, strict=True):
+        answers = [(part, self._answer(q[part])) for part in slices(len(q), _CHUNK)]
+        for part, answer in answers:
+            for column, of_robot in zip(distances[:, part], answer, strict=True):
                 column[:] = np.asarray(of_robot)[: len(column)]  # without padding
         return distances.T
 

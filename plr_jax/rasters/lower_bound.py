@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plr_jax.eikonal.program import rescaling_of
+from plr_jax.eikonal.elements import rescaling_of
 from plr_jax.rasters.search import AtCorners, Points, Raster, Sides, cells_of
 
 _SLACK = 0.015  # share by which lower bounds start below the distances

@@ -7,11 +7,12 @@ from piece_helpers import SEEDS, TEN, as_pieces, box, points_of, random_workspac
 
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_sight import CellSources, Shadows, corner_sight, corners_of_cells, turns_by_triangle
+from plr_jax.geometry.cell_sight import CellSources, Shadows, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas, clip_to_boxes
 from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
+from plr_jax.pairs.construct import corners_of_cells
 
 NONE = np.empty(0, int)
 

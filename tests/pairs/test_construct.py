@@ -6,9 +6,8 @@ from pair_helpers import MAZE
 from piece_helpers import TEN, WORKSPACES, box
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs
-from plr_jax.geometry.cell_sight import corners_of_cells
 from plr_jax.geometry.corners import CornerVisibility
-from plr_jax.pairs.construct import corners_seen, grow_lists, lattice_step
+from plr_jax.pairs.construct import corners_of_cells, corners_seen, grow_lists, lattice_step
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.base import GivenLimits, check_limits
