@@ -10,7 +10,6 @@ import typer
 
 import plr_jax
 from plr_jax.cli.app import command, fail_interrupted, warn
-from plr_jax.cli.files import cost_of
 from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, oracle_of, parse_goals
 
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
@@ -32,6 +31,14 @@ def measure_error(plr: Any, oracle: Any, workspace: Any) -> tuple[Any, str]:
     """
     report = plr_jax.metrics.error_map(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
     return report, f"max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points"
+
+
+def cost_of(content: Any, compact: bool = False) -> list[str]:
+    """Describe what the C header of a PLR takes, in flash and on the stack of a Cortex-M4, in a few lines."""
+    from plr_jax.plr.portable.c import cost_in_c
+
+    num_floors = len(content.floors.lo) if hasattr(content, "floors") else 0
+    return cost_in_c(getattr(content, "plane", content).to_bytes(), compact, num_floors)
 
 
 def _map_option(default: str) -> Any:

@@ -16,7 +16,7 @@ import plr_jax
 from plr_jax._arrays import format_numbers
 from plr_jax._files import errors_named, write_atomically
 from plr_jax.cli.app import command, printable
-from plr_jax.cli.build import measure_error
+from plr_jax.cli.build import cost_of, measure_error
 from plr_jax.cli.inputs import PICTURES, check_output, oracle_of, parse_goals, read_map_of_file, read_points
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE")]
@@ -224,14 +224,6 @@ def export(
         text, costs = distance.c_header(output.stem, compact=compact), cost_of(distance, compact)
     write_atomically(output, text.encode())
     typer.echo("\n        ".join([f"wrote {output}: {len(text):,} bytes of text", *costs]))
-
-
-def cost_of(content: Any, compact: bool = False) -> list[str]:
-    """Describe what the C header of a PLR takes, in flash and on the stack of a Cortex-M4, in a few lines."""
-    from plr_jax.plr.portable.c import cost_in_c
-
-    num_floors = len(content.floors.lo) if hasattr(content, "floors") else 0
-    return cost_in_c(getattr(content, "plane", content).to_bytes(), compact, num_floors)
 
 
 @command("plr-jax view maze.plr", "plr-jax view maze.plr maze -o page.html", "plr-jax view maze.pairs")
