@@ -116,6 +116,6 @@ print(pipe_plr((9, 0)), pipe_plr((9, 3)))
 ```
 
 Proofs need a `plr_jax.spaces.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.spaces.CellState` for each
-box, and `are_free(q0, q1)` tests motions. Answer FREE or BLOCKED only if this is proven, else MIXED. With
+box, and `are_free(q0, q1)` tests motions. It must answer FREE or BLOCKED only where that is proven, else MIXED. With
 `sees_boxes`, a `plr_jax.spaces.SeesBoxes`, upper bounds are finite beside walls too, but for points by walls' ends.
 """
