@@ -1,8 +1,8 @@
-"""Planes, and the base class of all leaf models that fit each leaf to its own samples alone: growth and files.
+"""The leaf model ``"plane"``, and the base class of leaf models that fit each leaf to the samples in this leaf alone.
 
-The tree grows best first. A file stores coefficients as scaled integers or as 32-bit floats; ``portable/FORMAT.md``
-describes the bits. All coefficients but the first, the value at the center, shrink as cells are halved. So the file
-has a bit width for each of these coefficients and each number of halvings.
+The base class grows the tree best first, and writes files. A file stores coefficients as scaled integers or as 32-bit
+floats; ``portable/FORMAT.md`` describes the bits. All coefficients but the first, the value at the center, shrink as
+cells are halved. So the file has a bit width for each of these coefficients and each number of halvings.
 """
 
 from abc import abstractmethod
@@ -53,7 +53,7 @@ class StoredCoefficients:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, halvings: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each of the ``others``, the bits per number in leaves of 0, 1, ... ``halvings``."""
+        """Return the bit widths of ``others`` in a file: for each coefficient, an array by number of halvings."""
         # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
         for index, most in enumerate(halvings.max(axis=0)):
