@@ -129,8 +129,9 @@ class IndependentLeafModel(base.LinearLeafModel):
     def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:
         """Fit a function to the samples of each cell; return its coefficients, and the fit with its residuals.
 
-        By default, functions are the planes of ``fit``, which a cell without samples that reach the goal may have,
-        too. If the center value of a plane is ``inf``, the first coefficient must be ``inf``.
+        By default, functions are the planes of ``fit``. A cell without samples that reach the goal may have a plane,
+        too (:func:`fill_unsampled_planes`). If the center value of a cell's plane is ``inf``, the first coefficient
+        of the cell must be ``inf``.
         """
         return fit, self.coefficients_of_planes(fit.center, fit.half)
 
