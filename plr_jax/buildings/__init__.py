@@ -1,10 +1,10 @@
 """Buildings: several floors joined by links such as stairs, lifts, and doors that open one way.
 
-A `Building` has floors and `Link`s. Its `BuildingOracle` computes exact distances and a `Route` from each place, and
+A `Building` has floors and `Link`s. Its `BuildingOracle` computes exact distances and a `Route` from each point, and
 constructs a `BuildingPLR`. `load_numpy` reads the file of a `BuildingPLR` as a `NumpyBuildingPLR`.
 
-All floors lie side by side in one *plane* (``floors.py``), where links are arcs of the visibility graph. So what this
-package does in the plane, it does for buildings: exact distances (``building.py``), PLRs (``building_plr.py``).
+All floors lie side by side in one *plane* (``floors.py``), where links are arcs of the visibility graph. So the
+code for the plane also serves buildings: exact distances (``building.py``) and PLRs (``building_plr.py``).
 """
 
 import lazy_loader

@@ -82,7 +82,7 @@ class Building(_arrays.PickledWithoutCaches):
 
     @cached_property
     def corners(self) -> CornerVisibility:
-        """The corners of all floors and the ends of links, and what they see. All goals share them."""
+        """The corners of all floors, the ends of links, and what each corner or end sees; all goals share it."""
         corners, mesh, arcs = CornerVisibility.of(self.plane), self.plane.triangulation, self.plane_floors.arcs
         if not arcs:
             return corners
@@ -175,9 +175,9 @@ class BuildingOracle:
     def __getitem__(self, floor: int) -> NearestGoal:
         """Return the distance function of one floor, from points ``(n, 2)``; ``construct`` and others take it.
 
-        Its goals are the goals on the floor, and the starts of links that shortest paths take. The offset of such a
-        start is its distance to the nearest goal of the building. ``ValueError`` if no goal can be reached from the
-        floor.
+        The function has as goals the goals on the floor, and the starts of links that shortest paths take. The offset
+        of a link's start is its distance to the nearest goal of the building. ``ValueError`` if no goal can be
+        reached from the floor.
         """
         building, sources, numbers = self.building, self.paths.sources, self.paths.root_numbers
         _arrays.require_integer("floor", floor, 0)

@@ -34,9 +34,10 @@ class BuildingPLR(NumpyBuildingPLR):
     def trace(self, floor: ArrayLike, starts: ArrayLike, building: "Building | None" = None) -> list[Route]:
         """Return the routes to the goal from starts ``(n, 2)`` on floors, an index or ``(n,)``, read from the file.
 
-        Needs cones, else ``ValueError``. As for :func:`trace`, the first segment may cross a wall unless the
-        ``building`` is given, whose walls are then tested. A route that bends, or takes a link, where two walls touch
-        may still pass between these walls. A start without a path, or without a free one, has a route without legs.
+        The leaves must be cones, else ``ValueError``. As for :func:`trace`, the first segment may cross a wall unless
+        the ``building`` is given, whose walls are then tested. A route that bends, or takes a link, where two walls
+        touch may still pass between these walls. A start without a path, or without a free path, has a route without
+        legs.
         """
         floors, stored = self.floors, self.plane.stored.sources
         given: Any = floors if building is None else getattr(building, "plane_floors", None)

@@ -159,17 +159,18 @@ class Floors:
         return module.where(inside[..., None] | module.isnan(p), p, np.inf)
 
     def next_links(self, numbers: Any) -> Any:
-        """Return the link that each root takes, given the numbers of roots: -1 at a goal, ``NO_PATH`` for number -1.
+        """Return the index of the link that a path takes next, given the number of the root where its leg ends.
 
-        Goals are numbered from 0, and arcs after them.
+        A root is a goal, numbered from 0, or the start of an arc (a link in one direction), numbered after the goals
+        as in :attr:`arcs`. The index is -1 at a goal, and ``NO_PATH`` for the number -1.
         """
         links = np.array([-1] * self.num_goals + [link for link, _ in self.arcs] + [NO_PATH])
         return numbers.__array_namespace__().asarray(links)[numbers]
 
     def route(self, floor: int, start: Float[np.ndarray, "2"], source: int, sources: Sources) -> Route:
-        """Return the route from a point of the plane, on a floor, straight to a source, and on to a goal.
+        """Return the route to a goal from ``start``, a point of the plane on a floor, given the path's first source.
 
-        ``source`` is an index in ``sources``, or -1 for no path.
+        ``source`` is the index of this goal or corner in ``sources``, or -1 for no path.
         """
         numbers, exits = np.asarray(sources.root_numbers), np.asarray(sources.exits)
         legs, links, length, path = [], [], 0.0, [start]
@@ -220,7 +221,7 @@ class Floors:
             raise ValueError(f"its floors and links are invalid: {error}") from None
 
     def to_bytes(self) -> bytes:
-        """Encode the floors for a file: compressed :attr:`text`, after its size."""
+        """Encode the floors for a file: a mark, the size of the compressed :attr:`text` in 4 bytes, and this text."""
         data = zlib.compress(self.text.encode(), 9)
         return BUILDING_MAGIC + len(data).to_bytes(4, "little") + data
 
@@ -259,7 +260,7 @@ class OnFloors:
 
     @classmethod
     def of_parts(cls, floors: Floors, plane: Any) -> Self:
-        """Join the parts of a file; ``ValueError`` if the function in the plane has another domain."""
+        """Join the parts of a file in an object; ``ValueError`` if ``plane`` has another domain than ``floors``."""
         ours, given = ((box.lo, box.hi) for box in (floors.domain, plane.domain))
         if not np.array_equal(ours, given):
             raise ValueError("its floors do not lie in its domain")

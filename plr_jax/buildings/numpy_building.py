@@ -44,7 +44,8 @@ class NumpyBuildingPLR(OnFloors):
     def which(self, floor: ArrayLike, x: ArrayLike) -> Any:
         """Return the index ``(n,)`` of the link that paths take next: -1 to walk to the goal, -2 without a path.
 
-        If paths by two links are about equally long, either link may be the answer. Needs cones, else ``ValueError``.
+        If paths by two links are about equally long, either link may be the answer. The leaves must be cones, else
+        ``ValueError``.
         """
         return self.floors.next_links(self.plane.which(self.floors.in_plane(floor, x)))
 
@@ -56,7 +57,7 @@ class NumpyBuildingPLR(OnFloors):
     def c_header(self, name: str, compact: bool = False) -> str:
         """Return a C99 header with ``float NAME_distance(int floor, const float x[2])``; see :meth:`PLR.c_header`.
 
-        Coordinates are doubles if a floor is far from the origin. Results equal those of :meth:`numpy`, bit for bit.
+        Coordinates are doubles if a floor is far from the origin. Results equal those of a call, bit for bit.
         An unknown floor gives NAN.
         """
         require_identifier(name)

@@ -58,7 +58,7 @@ class _CornerLists:
 
 @dataclass(frozen=True, eq=False)
 class PairDistances(PickledWithoutCaches):
-    """Exact distances between any two points of a workspace, and caches that the oracles of all goals share."""
+    """Exact distances between any two points of a workspace, with caches that the oracles of all goals share."""
 
     workspace: Workspace
     visibility: CornerVisibility
@@ -143,7 +143,7 @@ class PairDistances(PickledWithoutCaches):
     def _distance(self, x: list[float], y: list[float]) -> float:
         """Return the length of the shortest path between two points, equal in all bits to the result of `_distances`.
 
-        The result is NaN if :class:`PointLocator` has no place for one of the points.
+        The result is NaN if :class:`PointLocator` finds no triangle for one of the points: then use `_distances`.
         """
         if y < x:
             x, y = y, x
@@ -159,7 +159,7 @@ class PairDistances(PickledWithoutCaches):
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
         """Return the length of the shortest path between points ``x`` and ``y`` that do not see each other.
 
-        ``start`` and ``end`` are the places of ``x`` and ``y`` in the triangulation.
+        ``start`` and ``end`` are ``x`` and ``y`` with the triangles of free space that contain them.
         """
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
@@ -188,8 +188,8 @@ class PairDistances(PickledWithoutCaches):
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
         """Return the indices of corners at which paths from the point ``x`` may turn first, and their distances to x.
 
-        ``place`` is the place of the point in the triangulation. Some of the corners may not be visible from the
-        point.
+        ``place`` has the triangles of free space that contain the point. Some of the corners may not be visible from
+        the point.
         """
         corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T

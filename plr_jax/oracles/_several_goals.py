@@ -62,16 +62,23 @@ class NearestGoal(_arrays.PickledWithoutCaches):
 
     @property
     def cell_sources(self) -> Callable[[Box], CellSources] | None:
-        """A function like ``VisibilityGraph.cell_sources``; None unless all are VisibilityGraphs of one workspace."""
+        """A function like :meth:`VisibilityGraph.cell_sources`, by which PLRs of the nearest goal can be certified.
+
+        The value is None unless all distance functions are VisibilityGraphs of one workspace.
+        """
         return self._paths.cell_sources if self._graphs else None
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path; None if there are none or it is unknown."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+
+        The result is None if a path leads from every free point to a goal, or if the distance functions are not
+        VisibilityGraphs of one workspace.
+        """
         return self._paths.reach(domain) if self._graphs else None
 
     @property
     def is_lower_bound(self) -> bool:
-        """Whether the minimum is a lower bound of the true distance: true if all functions are lower bounds."""
+        """Whether the answers never exceed the true distance: true if this is known of all distance functions."""
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
     def __call__(self, x: ArrayLike) -> Any:
@@ -116,7 +123,7 @@ class NearestGoal(_arrays.PickledWithoutCaches):
 
 
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
-    """Return, for each robot, a function of the distance to the robot's goal, without the other robots.
+    """Return, for each robot, the distance function to the robot's goal, as if there were no other robots.
 
     Each function takes positions ``(n, 2)``; distances are ``inf`` at blocked positions. If ``inflated``, obstacles
     are grown by the robot's inscribed radius: distances of discs are exact up to a tolerance, and distances of other

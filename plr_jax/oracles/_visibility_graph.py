@@ -157,7 +157,7 @@ class VisibilityGraph(PickledWithoutCaches):
 
     @property
     def family(self) -> CornerVisibility:
-        """The corners and what they see, one object that all oracles made by :meth:`with_goal` share."""
+        """The corners and what each corner sees: one object that all oracles made by :meth:`with_goal` share."""
         return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
@@ -180,7 +180,7 @@ class VisibilityGraph(PickledWithoutCaches):
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(self, shared: FamilyCells, members: Sequence[Self], box: Rows, member: Rows) -> CellSources:
-        """Return what :meth:`cell_sources` returns, for many pairs of a box and an oracle.
+        """Return convex pieces of free space and sources, as :meth:`cell_sources` does, for many boxes and oracles.
 
         ``shared`` is the result of :meth:`shared_cells` for several boxes, and ``members`` are oracles for several
         goals on this map. Pair ``i`` is the box of index ``box[i]`` and the oracle of index ``member[i]``. Sources of
@@ -229,8 +229,8 @@ class VisibilityGraph(PickledWithoutCaches):
     def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         """Return unit vectors, ``(n, 2)``, along which shortest paths from points ``(n, 2)`` start.
 
-        They are the negative gradient of the distance: zero within the workspace's tolerance of the goal, NaN where
-        the distance is ``inf``. If several paths from a point are shortest, the result is the direction of one.
+        The vectors are the negative gradient of the distance: zero within the workspace's tolerance of the goal, NaN
+        where the distance is ``inf``. If several paths from a point are shortest, the result is the direction of one.
         """
         return self._first_legs(self._points("x", x))[0]
 
@@ -279,7 +279,7 @@ class VisibilityGraph(PickledWithoutCaches):
         return as_points(name, self.workspace.settled(x), 2)
 
     def _first_legs(self, x: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Int[np.ndarray, " n"]]:
-        """Return the directions of points, and the index of the vertex of ``graph`` to which each direction leads."""
+        """Return the direction in which each point's path starts, and the index of its next vertex in ``graph``."""
         distance, turn = self._first_turns(x)
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
@@ -351,10 +351,10 @@ class VisibilityGraph(PickledWithoutCaches):
 class NearestPaths:
     """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
 
-    Paths may also take the arcs of ``CornerVisibility``. The *sources* are the goals, without copies, then the
-    corners. A source is a root if the path from it ends there, at a goal, or takes an arc from there. Roots at goal
-    ``i`` have the number ``i``. Roots that take arc ``i`` have the number ``g + i``, where ``g`` is the number of
-    goals.
+    Paths may also take the arcs of :class:`CornerVisibility`, such as links of a building. The *sources* are the
+    goals, without copies, then the corners. A *root* is a source that is a goal where the path ends, or from which
+    the path takes an arc. A root at goal ``i`` has the number ``i``. A root whose path takes arc ``i`` has the number
+    ``g + i``, where ``g`` is the number of goals.
     """
 
     dim: ClassVar[int] = 2
@@ -405,7 +405,10 @@ class NearestPaths:
         return cls(workspace, sources, numbers, regions, VisibilityTable.joined([table, corners.table]))
 
     def first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Distances]:
-        """Return the source to which each path from a point goes first, and distances; -1 and ``inf`` for no path."""
+        """Return the index of the source to which each point's path goes first, and the distance to the nearest goal.
+
+        Without a path, the index is -1 and the distance ``inf``.
+        """
         source, distance = np.full(len(x), -1), np.full(len(x), np.inf)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         places = self.workspace.triangulation.place(x[free])
@@ -423,7 +426,10 @@ class NearestPaths:
         return np.where(source < 0, -1, self.root_numbers[path_ends(self.sources.parents)[source]])
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold free points without a path; None if there are none."""
+        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+
+        The result is None if a path leads from every free point to a goal.
+        """
         return self.workspace.reach(self.sources.points[self.root_numbers >= 0], domain)
 
     def cell_sources(self, domain: Box) -> CellSources:

@@ -1,4 +1,4 @@
-"""Distances between any two places of a building, over floors and links."""
+"""Distances between any two points of a building, along paths that may take links from floor to floor."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ Places = tuple[ArrayLike, ArrayLike]  # floors and points
 @jax.tree_util.register_pytree_node_class
 @dataclass(frozen=True, eq=False)
 class BuildingPairs(OnFloors):
-    """Distances between any two places of a building, made by :func:`construct_pairs` or :func:`load`.
+    """Distances between any two points of a building, made by :func:`construct_pairs` or :func:`load`.
 
         pairs = plr_jax.construct_pairs(building)
         pairs((0, x), (2, y))  # (n,), from points x (n, 2) of floor 0 to points y of floor 2
@@ -27,9 +27,9 @@ class BuildingPairs(OnFloors):
     """
 
     def __call__(self, x: Places, y: Places) -> Float[Array, "*batch"]:
-        """Return the distance from places ``x`` to places ``y``, ``(...)``, costs of links included.
+        """Return the distance from points ``x`` to points ``y``, ``(...)``, costs of links included.
 
-        Places are a pair ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
+        Both are pairs ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
         distance is ``inf`` without a path and outside a floor's bounds. :func:`construct_pairs` states the errors, in
         widths of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
         """

@@ -43,10 +43,11 @@ _SLACK = 8  # number of workspace tolerances by which visibility may err
 
 
 def outline_of(boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float) -> VertexOutline:
-    """Round the boundary of free space to a lattice; also return the vertex index of each point of the outline.
+    """Round the boundary of free space to a lattice; also return the index of each rounded point's vertex.
 
-    ``origin`` is the position of the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at
-    most the ``tolerance``, if a lattice step of at least 6e-8 widths allows it.
+    Return an :class:`Outline`, and for each of its points the index of a vertex in ``boundary.vertices``. ``origin``
+    is the position of the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at most the
+    ``tolerance``, if a lattice step of at least 6e-8 widths allows it.
     """
     vertices, edges = boundary.vertices, boundary.edges
     # 1. Follow the rings. Where obstacles touch, several edges leave a vertex b. After an edge from a to b comes the
@@ -110,8 +111,8 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
 
     Rounded points must stay distinct. Coordinates may change by at most the ``tolerance``, and by at most a quarter
     of the ``clearance``, the least distance of a point from a wall that does not end at the point. If no step of at
-    least ``FINEST`` times ``width``, the width of the domain, is fine enough, return a finer power of two. Then
-    nothing is guaranteed.
+    least ``FINEST`` times ``width``, the width of the domain, is fine enough, return a finer power of two, with
+    which rounded points may coincide or move farther.
     """
     steps = np.concatenate([2.0 ** np.arange(-60, 60), 10.0 ** np.arange(-20, 20)])
     for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
@@ -146,7 +147,7 @@ class _ListTree:
 
     @staticmethod
     def of_leaves(cells: Cells, visible: CellSources, parent_key: _Keys, limits: Limits) -> "_ListTree":
-        """Make a node for each cell, none of them halved.
+        """Return a tree that has each of the given cells as a leaf.
 
         ``visible`` has the convex pieces of free space in the cells, and the corners that each piece may see.
         """
@@ -164,7 +165,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the leaves of the smaller tree in which only nodes whose priority is above ``key`` are halved."""
+        """Return leaves and lists of the smaller tree in which only nodes of priority above ``key`` are halved."""
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         leaves = np.flatnonzero((self.parent_key > key) & (self.is_leaf | (self.key <= key)))
         return self.cells[leaves], self.lists[leaves]
@@ -222,7 +223,7 @@ def grow_lists(root: CellSources, domain: Box, limits: Limits, most: int, num_by
 
 
 def _with_halves(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
-    """Halve the cells of the leaves with the indices ``nodes`` along their longest axis; list the halves' corners."""
+    """Return the tree in which the leaves ``nodes`` (indices) are halved along their longest axis, with new lists."""
     # The halves of all nodes are appended to the tree: lower, upper, lower, upper, ...
     axis = tree.cells[nodes].longest_axis(domain)
     halves = tree.cells[nodes].split(axis)
@@ -249,8 +250,9 @@ def construct_stored(
 ) -> tuple[PairsFileData, bytes]:
     """Build the content of a file of distances between pairs of points; also return the bytes of the file.
 
-    The file and ``num_other_bytes`` have at most ``max_bytes`` bytes (None: 65,536). ``visibility`` has the corners
-    of the workspace, with places and arcs; None: without.
+    The size of the file plus ``num_other_bytes`` is at most ``max_bytes`` (None: 65,536). ``visibility`` has the
+    corners of the workspace, and the places and arcs of a building's links (see :class:`CornerVisibility`). None: the
+    corners are computed, without places and arcs.
     """
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace or a Building, got {shortened(workspace)}.")

@@ -74,7 +74,11 @@ class GridTables:
 
 
 def _sums_of(free: Grid, connectivity: int) -> Int[np.ndarray, " sums"]:
-    """Build the tables of sums of a grid by which :func:`sees` tests whether two cells see each other."""
+    """Build prefix sums of a grid, with which :func:`sees` counts blocked cells and illegal steps between two cells.
+
+    The result is ``GridTables.sums``: one table for a 4-connected grid, six for an 8-connected grid, flattened and
+    joined. Steps are diagonal, and illegal if one of the four cells around the step is blocked.
+    """
     # A table of sums has a row and a column of zeros in front. Entry (r + 1, c + 1) counts
     # - 4-connected: blocked cells in rows up to r and columns up to c;
     # - 8-connected, row sums: blocked cells in row r and columns up to c;
@@ -236,7 +240,7 @@ def evaluate_few(tables: GridTables, x: _Points, y: _Points) -> _Steps | None:
 def evaluate_to(tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: _Points) -> _Steps:
     """Return path lengths in steps from the cells of points ``x`` to the cell ``goal`` (row, column).
 
-    ``from_goal`` has the integer path lengths from the goal to all obstacle corners.
+    ``from_goal`` has the path lengths from the goal to all obstacle corners, the result of :func:`corners_from`.
     """
     p, is_inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
@@ -307,11 +311,11 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Bits, _Bits]:
-    """Return the length of a likely shortest path for each pair of cells, and the blocks that may have a shorter one.
+    """Return the length of a likely shortest path for each pair of cells, and blocks that may give a shorter path.
 
-    Blocks are groups of four corners. The second and third result have the blocks of cells ``p`` and ``q``, as bits
-    of an integer (see :func:`_least_over_blocks`). ``is_seen`` says which pairs of cells see each other. For these
-    pairs no path is shorter, so the results have no blocks.
+    A block is a group of four corners that a path may pass. The second result has the blocks of cells ``p``, the
+    third the blocks of cells ``q``, as bits of an integer (see :func:`_least_over_blocks`). ``is_seen`` says which
+    pairs of cells see each other. For these pairs no path is shorter, so the results have no blocks.
     """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)
@@ -324,10 +328,11 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tupl
 
 
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, is_seen: Flags) -> tuple[_Lengths, _Lengths]:
-    """Return the index of one of the corners stored for each cell, and the path length from the cell to this corner.
+    """Choose the corner of each cell over which the path to the other cell would be shortest on an empty grid.
 
-    Over this corner, a path from ``cells[i]`` to ``others[i]`` would be shortest on an empty grid. The length is FAR
-    if the cell has no corner or ``is_seen``, which says whether both cells see each other, is true.
+    Paths lead from ``cells[i]``, over one of the corners stored for this cell, to ``others[i]``. Return the index of
+    the corner, and the path length from the cell to the corner. The length is FAR if the cell has no corner, or
+    if ``is_seen`` says that both cells see each other.
     """
     first, count = _blocks_of(tables, cells)
     count = jnp.where(is_seen, 0, count)

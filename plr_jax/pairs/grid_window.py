@@ -118,7 +118,7 @@ def _lengths_of_rim(tables: GridTables, cells: _RimCells, free: _RimFlags, goal:
 
 
 def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: _Rim, is_wanted: _RimFlags) -> _Rim:
-    """Return ``lengths`` with new values from the tables where ``is_wanted``.
+    """Return ``lengths``, replaced by path lengths from the tables where ``is_wanted``.
 
     ``cells`` are the cells on the rim (the border) of each agent's window. Lengths are those of paths from these
     cells to the agent's ``goal``.

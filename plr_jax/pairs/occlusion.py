@@ -67,9 +67,9 @@ class NearWalls:
     ) -> "NearWalls | None":
         """Find the walls that may hide each listed corner from points of its leaf; None if they are too many.
 
-        List entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``, both indices; leaves ascend. A wall
+        Entry ``i`` says that leaf ``leaf[i]`` lists corner ``listed[i]``; both are indices, and leaves ascend. A wall
         may hide the corner if it is within ``margin`` of the convex hull of the leaf and the corner. ``shape`` is the
-        shape of the array ``first``.
+        shape of the attribute ``first``: leaves, and places in their lists.
         """
         # For each entry, a query reads as many walls as the longest list has. A wall that a point reads for itself
         # takes `_COST` times as long as a wall that all points share. So no time is saved if the longest list has
@@ -161,7 +161,7 @@ def near_entries(
 ) -> NearPairs | None:
     """Find the walls near the convex hull of a leaf's box and a corner, for each corner that the leaf lists.
 
-    Entry ``i`` is corner ``listed[i]`` in the list of leaf ``leaf[i]``. Return pairs of an entry and a wall, as
+    Entry ``i`` says that leaf ``leaf[i]`` lists corner ``listed[i]``. Return pairs of an entry and a wall, as
     indices. No wall within ``margin`` of the hull is missing; a few walls are farther away. The result is None if an
     entry has more than ``most`` walls, or all pairs take too much memory.
     """

@@ -27,7 +27,7 @@ Point = Float[np.ndarray, "2"]
 def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Point) -> PLR:
     """Return the distance to a goal as a PLR with a cone in each leaf.
 
-    ``pairs`` is the distance between any two points, and ``to_corners`` has the distance from the goal to each
+    ``pairs`` computes the distance between any two points, and ``to_corners`` has the distance from the goal to each
     corner. A cone is the distance to its apex, a corner or the goal, plus the distance from the apex to the goal.
     Each leaf gets the cone that fits it best, and is halved a few times if no cone fits well.
     """

@@ -1,7 +1,7 @@
 """PairPLR: distances between any two points of a planar workspace, stored in one file.
 
 :func:`construct_pairs` builds the file (``construct.py``), and ``stored.py`` reads it. A call of a :class:`PairPLR`
-makes points relative to the middle of the domain, which loses fewer bits of them, then answers in one of three ways::
+makes points relative to the middle of the domain, so that rounding loses less, then answers in one of three ways::
 
     few pairs               NumPy, without compiling                               NumpyPairs (portable.py)
     many pairs              compiled code, block by block on all cores             _distances
@@ -73,11 +73,13 @@ class PairPLR(FileBacked):
         """Return the distance between points, ``(...)``: the length of the shortest path in free space.
 
         The distance is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in
-        obstacles. ``pairs(x, y) == pairs(y, x)`` to the last bit. Answers have the precision of the points, as for
-        :func:`evaluate`, though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without
-        compiling: these answers differ by rounding from the answers of compiled functions. The call works under
-        ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the first turn of
-        the path. It is zero where the distance is 0 or ``inf``.
+        obstacles. ``pairs(x, y) == pairs(y, x)`` to the last bit. Distances are 32-bit floats; with
+        ``jax_enable_x64``, 64-bit points give 64-bit floats, though positions of corners still have 32 bits. If the
+        domain is far from the origin, pass points as :func:`evaluate` says. Outside of ``jit``, NumPy answers a small
+        batch (pairs times walls up to 2**18) without compiling; such answers differ by rounding from the answers of
+        compiled functions. The call works under ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The
+        gradient by a point is the unit vector that points away from the first turn of the path from this point. It is
+        zero where the distance is 0 or ``inf``.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
@@ -147,15 +149,15 @@ class PairPLR(FileBacked):
         return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
-        """Return a function of two points that gives the same distances in NumPy, without JAX.
+        """Return a function of two points that computes the distances in NumPy, without JAX.
 
-        ``pairs/FORMAT.md`` defines its answers bit for bit. They differ from the answers of compiled functions by
+        ``pairs/FORMAT.md`` defines the function's answers bit for bit. The answers of compiled functions differ by
         rounding.
         """
         return self._numpy
 
     def js_module(self) -> str:
-        """Return a JavaScript module that answers the same queries, contains the file and imports nothing.
+        """Return the text of a JavaScript module that contains the file, answers its queries, and imports nothing.
 
         The module exports functions of two points, arrays of two numbers: ``distance(x, y)``; ``waypoint(x, y)``, the
         first turn of the path from ``x`` to ``y``; and ``bounds(x, y)``. Answers equal those of :meth:`numpy` bit for
@@ -402,10 +404,10 @@ def _clamped(tables: PairTables, x: _Points) -> tuple[_Points, Lengths]:
 def _checked(
     tables: PairTables, *points: Array, outside: Outside = "inf"
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, " n"]]:
-    """Broadcast points; return them as rows, the shape of the batch, and what is known of each row's answer.
+    """Broadcast points to rows, and answer the rows that need no search.
 
-    Answers are ``inf`` or NaN ``outside`` the domain, NaN for NaN, and 0 if not yet known. Rows with a known answer
-    become 0.
+    Return the rows, the shape of the batch, and an answer for each row: ``inf`` or NaN ``outside`` the domain, NaN
+    for NaN, and 0 if the row needs a search. Points of rows with another answer are replaced by 0.
     """
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]

@@ -97,7 +97,7 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class MovedObstacles:
-    """Walls and corners of a PairPLR's file, moved slightly, so that rounding opens no wall or hides no corner.
+    """Walls and corners of a PairPLR's file, moved slightly so that rounding cannot open a wall, or hide a corner.
 
     If ``is_certain``, no wall opens; otherwise no corner is hidden. Coordinates are relative to the domain's middle.
     """

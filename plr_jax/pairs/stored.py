@@ -208,12 +208,12 @@ class Outline:
     def ends_sight(self, distance: float) -> Bool[np.ndarray, " points"]:
         """Mask of the points that block sight after walls have moved by ``distance`` into obstacles.
 
-        They are the contacts, and the points that do not move.
+        Contacts (points where obstacles touch) block sight, and so do points that do not move.
         """
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, moves_all: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return a vector for each point. If the point moves by ``-distance`` times this vector, its walls move, too.
+        """Return a vector for each point: ``-distance`` times this vector moves the point along with its two walls.
 
         The walls then move by ``distance`` into obstacles, less at sharp corners. If ``distance`` is positive, two
         kinds of points have the vector 0 unless ``moves_all``: points between two walls of thin obstacles, and both
@@ -341,7 +341,7 @@ class PairsFileData:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners, places included."""
+        """Number of corners at which paths may turn: corners of obstacles, and the :attr:`places`."""
         return len(self.points)
 
     def to_bytes(self) -> bytes:
@@ -435,7 +435,10 @@ def most_leaves(num_corners: int) -> int:
 
 
 def _read_places(body: BitReader, num_corners: int) -> tuple[Float[np.ndarray, "places 2"], Arcs]:
-    """Decode the places after the given number of other corners, and the arcs between places."""
+    """Decode the :attr:`PairsFileData.places`, and the arcs (links of a building) that lead from place to place.
+
+    ``num_corners`` is the number of corners of obstacles. Arcs refer to place ``i`` by ``num_corners + i``.
+    """
     num_places, num_arcs = body.read_fixed_width(2, _COUNT_BITS).tolist()
     if num_corners + num_places > MOST_CORNERS:
         raise ValueError(f"it may have at most {MOST_CORNERS} corners and places, got {num_corners + num_places}")

@@ -74,7 +74,7 @@ def table_size(num_corners: int) -> int:
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the arrays that queries read.
+    """Build the arrays that queries of a PairPLR read, from the content of its file.
 
     ``num_bytes`` is the size of the file without its label. The sizes of some arrays depend on it alone.
     """
@@ -152,12 +152,13 @@ def _bounds_to_leaves(
     halves: Float[np.ndarray, "rows 2"],
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
-    """Return `PairTables.onward`: a lower bound of path lengths from each corner to the points of each leaf.
+    """Return `PairTables.onward`: for each leaf and corner, a lower bound of path lengths from corner to leaf.
 
-    The bound is a linear function of the point, packed in 32 bits. ``distances[k, a]`` is the path length from corner
-    ``a`` to corner ``k``, ``corners`` are their positions, and ``listed`` the indices of the corners that each leaf
-    lists. The box of a leaf has its center at ``middles`` and the half widths ``halves``. Lengths are packed in units
-    of ``step``.
+    Paths turn last at one of the corners that the leaf lists, and end at a point of the leaf. The bound is a linear
+    function of this point, packed in 32 bits, with lengths in units of ``step``. ``distances[k, a]`` is the path
+    length from corner ``a`` to corner ``k``, and ``corners[k]`` is the position of corner ``k``. ``listed[i]`` has
+    the indices of the corners that leaf ``i`` lists. The box of leaf ``i`` has the center ``middles[i]`` and the half
+    widths ``halves[i]``.
     """
     # Fix a corner a and a leaf, whose box has the middle m and the half widths h. The path from a over the listed
     # corner k to a point x has the length d_k + |x - k|, with the distance d_k between a and k. It is convex in x, so

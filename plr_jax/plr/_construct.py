@@ -159,9 +159,9 @@ def construct(
     Returns:
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning. Most
         distance functions of this package know where free points cannot reach the goal. There, the PLR answers
-        ``inf``, except closer than 1/64 of the domain's width to points that can. If the limits are too small for
-        this, a warning states the share of the domain where the PLR wrongly answers a finite number. Another warning
-        tells if most of free space cannot reach the goal.
+        ``inf``, except closer than 1/64 of the domain's width to points that can reach the goal. If the limits are
+        too small for this, a warning states the share of the domain where the PLR wrongly answers a finite number.
+        Another warning tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -382,9 +382,9 @@ def _models_to_try(
 
 
 def _error_of(distance_fn: DistanceFn, proof: Proof, seed: int, contents: DecodedFile) -> float:
-    """Return a PLR's largest proven error or, without proofs, the error at random points.
+    """Return a PLR's largest proven error or, without proofs, its error at random points.
 
-    The latter is the geometric mean of the mean and the largest error.
+    The error at random points is the geometric mean of the mean and the largest error at these points.
     """
     if proof is not Proof.NONE:  # an interrupted build has no certificate
         return math.inf if contents.certificate is None else contents.certificate.max_error

@@ -121,7 +121,7 @@ def _files(alone: Callable[..., Any], task: FamilyTask | WorstFirst | None, orac
     """Return the bytes of the file of each oracle's PLR.
 
     ``task`` builds PLRs of cones for several oracles together, but may leave out some. ``alone`` builds the PLR of a
-    single oracle: of each one that the task leaves out, and of all if there is no task.
+    single oracle: of each oracle that the task leaves out or, if there is no task, of every oracle.
     """
     if task is None:
         return [alone(oracle).to_bytes() for oracle in oracles]

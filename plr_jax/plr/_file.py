@@ -204,9 +204,10 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _SufficientBounds:
-    """A function of attained errors that returns error bounds that suffice for the file of one PLR.
+    """A function that tells a proof how tight the error bounds of one PLR's leaves must be.
 
-    A proof of several PLRs uses one such function for each PLR to tell when it can stop.
+    Bounds suffice if tighter bounds would hardly change the PLR's file. A proof of several PLRs has one such function
+    for each PLR, and can stop once the bounds of all leaves suffice.
     """
 
     leaves: slice  # the PLR's leaves among all
@@ -216,11 +217,11 @@ class _SufficientBounds:
     attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call, one in each row
 
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
-        """Return lower and upper error bounds of the PLR's leaves; tighter bounds would hardly change its file.
+        """Return lower and upper error bounds that suffice for each of the PLR's leaves.
 
-        ``least`` and ``most`` are the smallest and largest errors found so far in each leaf. ``recompute`` is True in
-        the first round of a proof, and when no piece is open. If it is False, bounds for an earlier file may be
-        returned.
+        ``least`` and ``most`` are the smallest and largest errors found so far in each leaf. If ``recompute`` is
+        False, the bounds may be those that sufficed for errors of an earlier call, which saves time. A proof passes
+        True in its first round, and whenever all pieces of free space have bounds that suffice.
         """
         # Tighter bounds would hardly change the file of the attained errors. Encode this file again only if attained
         # errors changed, since late in a proof, few PLRs still improve. If `recompute` is False, an earlier file

@@ -190,9 +190,9 @@ class PLR(FileBacked):
     def lower(self) -> "LowerBound":
         """A proven lower bound of the distance as a function of points: an admissible heuristic.
 
-        It returns the first result of :meth:`bounds`. The heuristic is not consistent, because it jumps between
-        leaves: A* must reopen a node when it finds a shorter path to that node. :meth:`LowerBound.stack` combines the
-        lower bounds of several robots. ``ValueError`` if the PLR has no proof.
+        The function returns the first result of :meth:`bounds`. The heuristic is not consistent, because it jumps
+        between leaves: A* must reopen a node when it finds a shorter path to that node. :meth:`LowerBound.stack`
+        combines the lower bounds of several robots. ``ValueError`` if the PLR has no proof.
         """
         self._require_band()
         return LowerBound(self)

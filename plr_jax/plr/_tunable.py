@@ -31,8 +31,8 @@ def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tupl
 
     - the free values of the file, ``(values,)``, in 64 bits on the host, and in 32 bits;
     - the weights, rows and columns of the entries of a sparse matrix, ``(entries,)`` each, sorted by row. The matrix
-      maps values to ``terms`` numbers of each leaf;
-    - a matrix ``(terms, count)`` from the numbers of any leaf to the leaf's parameters;
+      maps values to ``terms`` intermediate numbers of each leaf;
+    - a matrix ``(terms, count)`` from the intermediate numbers of any leaf to the leaf's parameters;
     - the place of each of these parameters in the flat ``tables.leaf_parameters``, ``(leaves, count)``.
 
     ``ValueError`` if parameters are no linear functions of stored values.
@@ -42,6 +42,8 @@ def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tupl
     leaf, cells, domain = contents.leaf, contents.tree.leaves, contents.domain
     if not isinstance(leaf, LinearLeafModel):
         raise ValueError(f"Only leaves 'plane', 'continuous' and 'smooth' can be trained, got {leaf.name!r}.")
+    # Leaf functions take points relative to `corner`. If the PLR is folded, points are relative to the center of the
+    # mirrors instead of `origin`: see `relative_to_origin`.
     corner = origin * (contents.folding is None) + np.asarray(tables.frame, np.float64)[Frame.LO]
     is_free = np.isfinite(leaf.coefficients(cells, contents.stored)[:, :1])
 
@@ -102,7 +104,7 @@ class TunablePLR:
             after another: the value at the center, then half of the rise across the leaf along each axis. For
             continuous and smooth leaves, the values at corners of leaves. Leaves share these values, so functions
             stay continuous across free faces, as do the gradients of smooth leaves.
-        plr: The PLR whose values these were at first.
+        plr: The PLR from whose file the initial values come; training does not change it.
     """
 
     values: Any  # an array, or what JAX puts in its place
@@ -141,7 +143,7 @@ class TunablePLR:
         return (self.values - initial).astype(np.float32)
 
     def to_plr(self, max_bytes: int | None = None) -> Any:
-        """Round the values, and return a :class:`PLR` of them, which has a file.
+        """Return a :class:`PLR` with the values, rounded as its file stores them.
 
         Nothing is proven of this PLR: :meth:`PLR.bounds` raises ``ValueError`` unless :func:`certify` proves new
         bounds. The PLR keeps the domain, the tree, mirror symmetries, cut-off leaves and the label. If answers had a

@@ -216,7 +216,7 @@ class Proof(IntEnum):
     OPEN_LEAVES = 3  # bounds of each leaf, where a leaf with the largest upper code has no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Return the most bits of a proof in a file with ``num_leaves`` leaves, which take ``num_bytes`` bytes."""
+        """Return the most bits of a proof in a file whose ``num_leaves`` leaves take ``num_bytes`` bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * CODE_BITS * num_leaves
         # The caller adds the bits of a ``StraightBound``.
         return (0, _MAX_ERROR_BITS + _bits_of_classes(num_bytes), of_leaves, of_leaves)[self]

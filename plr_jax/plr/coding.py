@@ -247,7 +247,7 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append each level of a tree: a bit per node (1 if split), then ``ceil(log2(dim))`` bits for each axis."""
+    """Append each level of a tree: a bit per node (1 if split), then ``ceil(log2(dim))`` bits for each split axis."""
     first, num_nodes = 0, 1  # of the nodes of a level, which have consecutive numbers
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)

@@ -71,7 +71,7 @@ class Folding:
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        """Return the folded points ``z`` of points ``x``."""
+        """Return points ``z`` of :attr:`box`: the points ``x`` of the domain after shift, rotation and mirroring."""
         z = np.asarray(x, np.float64) - self.center
         z = z @ self.axes.T if self.is_turned else z
         for mirror, pivot in zip(self.mirrors, self.pivots, strict=True):
@@ -79,7 +79,10 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, " n"]]]:
-        """For each subset of the mirrors, yield the points that it maps to ``z``, and which lie in the domain."""
+        """For each subset of the mirrors, yield the points that the subset maps to ``z``.
+
+        Also yield whether each of these points lies in the domain.
+        """
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
@@ -123,6 +126,7 @@ class Folding:
         return low[is_box], high[is_box], np.flatnonzero(is_box) % len(lo)
 
 
+# Tolerances of `folding_of`, which tests symmetries.
 _SAME = 1e-12  # tolerance for entries of orthogonal matrices
 _SAME_PLACE = 1e-9  # tolerance for points, relative to a coordinate or to the domain's width
 

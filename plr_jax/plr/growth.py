@@ -144,10 +144,11 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, " splits"]:
 def nodes_of_fit(
     fit: CellFit, coefficients: OfTerms, parent_key: Priorities, priority: Any, axis: Any, limits: Limits
 ) -> Nodes:
-    """Turn fitted cells into leaves of the growing tree; ``parent_key`` has their parents' keys (:class:`Nodes`).
+    """Turn fitted cells into leaves of the growing tree.
 
-    ``priority`` and ``axis`` are the results of the rules ``should_split`` and ``split`` for the cells. A cell may be
-    split if its priority is larger than the tolerance and the noise of distances, and if it is not too deep.
+    ``parent_key`` has the key of each cell's parent: the least priority on the path from the root to it. ``priority``
+    and ``axis`` are the results of the rules ``should_split`` and ``split`` for the cells. A cell may be split if its
+    priority is larger than the tolerance and the noise of distances, and if it is not too deep.
     """
     priority = checked_priorities(fit, priority)
     axis = checked_axes(fit, axis)
@@ -269,7 +270,7 @@ NodesOf: TypeAlias = Callable[[CellFit, Priorities], Nodes]
 
 
 class Encoding(NamedTuple):
-    """The sizes of files and the rounding errors of stored leaves, for several numbers of bits per value."""
+    """The size of files, and the rounding error of stored leaves, by the number of bits per stored value."""
 
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value

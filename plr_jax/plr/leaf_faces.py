@@ -286,9 +286,10 @@ def nodes_in_faces(
 ) -> tuple[Pairs, Float[np.ndarray, "2 points dim"]]:
     """Return the nodes of faces perpendicular to ``axis``, each as a point of both leaves that share the face.
 
-    Faces are the parts that both leaves share. A face has those of the ``nodes`` of a cell, from 0 to 1 along each
-    axis, that are 0 along ``axis``. The results have the leaf of each point, and the point's position in the leaf,
-    from 0 to 1 along each axis. Index 0 on the first axis is for the lower leaf, index 1 for the upper one.
+    ``nodes`` are positions in a cell, from 0 to 1 along each axis; those with coordinate 0 along ``axis`` are the
+    nodes of a face, scaled to the part that both leaves share. The results have the leaf of each point, and the
+    point's position in the leaf, from 0 to 1 along each axis. Index 0 on their first axis is for the lower leaf,
+    index 1 for the upper leaf.
     """
     faces = faces[faces.axis == axis]
     x = face_points(cells, faces, nodes[nodes[:, axis] == 0])

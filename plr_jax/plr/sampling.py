@@ -1,4 +1,4 @@
-"""Sample the distance function in the cells of a growing partition, and fit a plane to the samples of each cell."""
+"""Sample a distance function in cells, fit a plane to the samples of each cell, and run tasks on parallel workers."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
@@ -127,7 +127,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
 
     The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
     determine the plane, the slope has the least norm. So a single sample gives a constant plane, and no sample gives
-    zero.
+    the plane 0.
 
     Args:
         pattern: The sample pattern.
@@ -414,7 +414,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
 
 
 def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
-    """Return the weights of samples; in a cell whose weights are all 0, each sample that reaches the goal gets 1."""
+    """Return the weights of samples in fits; if all of a cell's are 0, each sample that reaches the goal gets 1."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 

@@ -171,7 +171,7 @@ class GridCorners:
         return corners if self._is_lattice else corners[self.index]
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
-        """Return, for each corner, a point close to it in the cell opposite to the blocked cell."""
+        """Return, for each corner, a close point inside the cell opposite to the blocked cell, for tests of sight."""
         #   +---+---+    A corner (o) with one blocked cell (#) around it. Along each axis, blocked cells before it
         #   |   | x |    minus blocked cells after it, summed over both rows or columns, are 1 or -1: the direction
         #   +---o---+    `away` from the blocked cell to x. Here both are 1. Corners that are not convex may have the

@@ -51,7 +51,7 @@ def _(primals, tangents):
 
 
 def _tangents_of_paths(segments: Segments, total: Lengths, changes: Segments) -> Lengths:
-    """Return the changes of distances ``total`` if the lengths of segments change.
+    """Return how distances ``total`` change, to first order, if the lengths of segments change.
 
     ``segments`` and their ``changes`` are the arguments of :func:`bellman_ford`, and ``total`` is its result.
     """
@@ -90,9 +90,11 @@ class CornerPaths:
         return self.distance_given_sight(x, placed, self.corners.seen_from(placed[0]))
 
     def distance_given_sight(self, x: Points, placed: Any, seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
-        """Return the distance of points that see the corners ``seen``; ``placed`` is the map's ``placed(x)``.
+        """Return the distance of each point to the nearest goal, given which corners the point sees.
 
-        It is the least length of the straight segments to goals, and of the paths through each visible corner.
+        ``seen[i, j]`` says whether point ``x[i]`` sees corner ``j``; ``placed`` is the result of the map's method
+        ``placed`` for ``x``. The distance is the least length of the straight segments to goals, and of the paths
+        through each visible corner.
         """
         goals = self.goals.astype(x.dtype)
         (ends, is_free), (goal_ends, goal_is_free) = placed, self.corners.placed(goals)
@@ -173,10 +175,11 @@ def _(primals, tangents):
 def _longest_of_equal(
     first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"], least: Float[Array, "*batch"]
 ) -> Int[Array, "*batch"]:
-    """Return which path is the shortest; among paths equal up to rounding, that with the longest first segment.
+    """Return the index of the shortest path.
 
-    If a point sees two corners of its path, the way straight to the farther corner is never longer, but rounding may
-    hide this. A segment from a corner to itself has no direction.
+    Among paths equal up to rounding, the path with the longest first segment counts. If a point sees two corners
+    of its path, the way straight to the farther corner is never longer, but rounding may hide this. A segment
+    from a corner to itself has no direction.
     """
     return jnp.argmax(jnp.where(first + onward <= _rounded_up(least)[..., None], first, -1), axis=-1)
 

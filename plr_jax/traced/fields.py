@@ -1,4 +1,4 @@
-"""Checks of points, and NaN as the answer of no distance, shared by all fields of distances on traced maps."""
+"""Checks of points, and answers of NaN, that all distance functions on traced maps (*fields*) share."""
 
 from contextlib import suppress
 from functools import reduce
@@ -17,9 +17,9 @@ FAR = 1e18  # outside every map; its square does not overflow
 
 @jax.jit
 def distance(field: Any, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*batch"]:
-    """Return the distance of each point to the field's goal, or between two points.
+    """Return the distance of each point to the field's goal or, given two arrays of points, between their points.
 
-    It is NaN where a coordinate is NaN, and everywhere if the field has no answers.
+    The distance is NaN where a coordinate is NaN, and everywhere if ``field.has_no_answers``.
     """
     ends = jnp.broadcast_arrays(*points)
     is_nan = reduce(jnp.logical_or, [jnp.isnan(x).any(axis=-1) for x in ends]) | field.has_no_answers
@@ -32,7 +32,7 @@ def replace_nonfinite(x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
 
 
 def require_one_map(field: Any, call: str) -> None:
-    """Raise ``ValueError`` if a field made under ``jax.vmap`` is called outside of it; ``call`` is the right call."""
+    """Raise ``ValueError`` if a field made under ``jax.vmap`` is called outside; the message recommends ``call``."""
     if maps := jnp.shape(field.has_no_answers):
         batch = " x ".join(map(str, maps))
         raise ValueError(f"This field holds a batch of {batch} maps (it was made under vmap): use it as {call}.")

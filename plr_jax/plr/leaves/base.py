@@ -60,12 +60,15 @@ class LeafModel(ABC):
     name: str
     num_samples: int = 96  # in a cell, by default
     max_dim: int | float = np.inf  # largest number of axes of a domain
-    least_bytes: int | float = 1  # of a leaf in a file, a power of two that may be a fraction
+    # About the fewest bytes of a leaf in a file, a power of two such as 0.5: sizes of tables follow (`sizes.py`).
+    least_bytes: int | float = 1
     has_deep_trees: bool = False  # whether small files may have deep trees, whose lookup tables have pages
     is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
     splits_by_proven_error: bool = False  # whether, if certified, a tolerance limits proven errors, not sampled ones
-    decoder_cost: tuple[int, int] = (0, 0)  # bytes of code and stack in compact C headers; 0: no decoder
+    # Most bytes of code and of stack of the decoder in compact C headers, measured as `portable/c.py` says. Without a
+    # decoder, both are 0.
+    decoder_cost: tuple[int, int] = (0, 0)
     num_powers: int = 0  # of each coordinate in a leaf's polynomial, the exponents from 0; 0: plane or cone
 
     @abstractmethod
@@ -169,15 +172,16 @@ class LinearLeafModel(LeafModel):
 
     @abstractmethod
     def free_values(self, cells: Cells, stored: Any) -> tuple[Distances, Any]:
-        """Return the numbers that determine the leaves' functions, and how coefficients follow from these numbers.
+        """Return the *free values*, numbers that determine all leaf functions, and their matrix to coefficients.
 
-        Any other finite numbers would do as well. The second result is a sparse matrix from the numbers to the
-        coefficients of all leaves, leaf by leaf. Rows of leaves without a function are 0.
+        Free values, ``(values,)``, may be replaced by any finite numbers, as in training. The sparse matrix,
+        ``(leaves * terms, values)``, times the free values gives the coefficients of one leaf after another. Rows of
+        leaves without a function are 0.
         """
 
     @abstractmethod
     def with_free_values(self, stored: Any, values: Distances, step: float | None) -> Any:
-        """Return stored data with other free values, rounded to multiples of at most ``step``.
+        """Return stored data with other free values (:meth:`free_values`), rounded with a step of at most ``step``.
 
         If ``step`` is None, it is the step of ``stored``. A larger step is used if integers would get too large.
         """

@@ -1,8 +1,8 @@
-"""Planes, and the base class of all leaf models that fit each leaf to its own samples alone: growth and files.
+"""The leaf model ``"plane"``, and the base class of leaf models that fit each leaf to the samples in this leaf alone.
 
-The tree grows best first. A file stores coefficients as scaled integers or as 32-bit floats; ``portable/FORMAT.md``
-describes the bits. All coefficients but the first, the value at the center, shrink as cells are halved. So the file
-has a bit width for each of these coefficients and each number of halvings.
+The base class grows the tree best first, and writes files. A file stores coefficients as scaled integers or as 32-bit
+floats; ``portable/FORMAT.md`` describes the bits. All coefficients but the first, the value at the center, shrink as
+cells are halved. So the file has a bit width for each of these coefficients and each number of halvings.
 """
 
 from abc import abstractmethod
@@ -53,7 +53,7 @@ class StoredCoefficients:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, halvings: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return, for each of the ``others``, the bits per number in leaves of 0, 1, ... ``halvings``."""
+        """Return the bit widths of ``others`` in a file: for each coefficient, an array by number of halvings."""
         # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
         for index, most in enumerate(halvings.max(axis=0)):
@@ -129,8 +129,9 @@ class IndependentLeafModel(base.LinearLeafModel):
     def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:
         """Fit a function to the samples of each cell; return its coefficients, and the fit with its residuals.
 
-        By default, functions are the planes of ``fit``, which a cell without samples that reach the goal may have,
-        too. If the center value of a plane is ``inf``, the first coefficient must be ``inf``.
+        By default, functions are the planes of ``fit``. A cell without samples that reach the goal may have a plane,
+        too (:func:`fill_unsampled_planes`). If the center value of a cell's plane is ``inf``, the first coefficient
+        of the cell must be ``inf``.
         """
         return fit, self.coefficients_of_planes(fit.center, fit.half)
 

@@ -52,7 +52,7 @@ class Operations:
     def fraction(self, x: Value) -> Value:
         """Return the 23 mantissa bits of a 32-bit float in [1, 2) as an integer.
 
-        In C and JavaScript, they are the highest bits of a 32-bit integer.
+        In C and JavaScript, the mantissa bits are the highest bits of a 32-bit integer.
         """
         return x.view(np.uint32) & np.uint32((1 << FRACTION_BITS) - 1)
 
@@ -124,10 +124,10 @@ class Program:
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
 
     def contains(self, do: Operations, x: Point) -> Value:
-        """Return whether points are in the domain; False for NaN, and for infinity along a periodic axis.
+        """Return whether each point is in the closed domain; False for NaN, and for infinity along a periodic axis.
 
-        64-bit points must have passed :meth:`wrap_in_double`. Unless the domain is far from 0, they must also be
-        rounded to 32 bits.
+        Points of 64 bits must be prepared: moved by :meth:`wrap_in_double`, then rounded to 32 bits unless the domain
+        is far from 0 (:func:`~plr_jax.plr.frame.is_far`).
         """
         place = [x[axis] if wraps else self._relative(do, x, axis) for axis, wraps in enumerate(self.domain.periodic)]
         return reduce(and_, [(at >= lo) & (at <= hi) for at, lo, hi in zip(place, *self.limits, strict=True)])

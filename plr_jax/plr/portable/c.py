@@ -21,10 +21,10 @@ _WHY = {
 _TABLES_COST = (600, 100)  # with tables, in the plane
 _GENERAL_COST = (3_000, 250)  # added for more dimensions, periodic axes, mirrored points, and domains far from 0
 _FLOOR_BYTES = 32  # of tables, for each floor of a building
-# Estimates for cones, measured on four maps with files of 0.5 to 4 KB. Compared are files of the same size, but files
-# of planes of twice the size.
+# Estimates for cones, measured on four maps with files of 0.5 to 4 KB. A file of cones is compared with a file of the
+# same size or, if this has planes, of twice the size.
 _CONE_RATIO = {False: 7.4, True: 2.5}  # bytes of tables (False: plain, True: compact) a byte of a file of cones
-_CONE_ERROR = "Its mean error is smaller if all corners fit; to limit its largest error, give a tolerance."
+_CONE_ERROR = "Its mean error is smaller if the file has room for all corners; a tolerance limits its largest error."
 _WAYPOINT_ADVICE = "; a waypoint needs leaf 'cone', for maps of polygons"
 
 
@@ -64,9 +64,10 @@ def c_function(signature: str, statements: list[str]) -> list[str]:
 
 
 def cost_in_c(data: bytes, compact: bool = False, num_floors: int = 0) -> list[str]:
-    """Describe what the C header of a PLR file needs, and estimate what it needs with cones; a list of lines.
+    """Return lines that state the memory of a PLR file's C header, and estimate the memory with cone leaves instead.
 
-    ``data`` has the bytes of the file. If it is in the file of a building, ``num_floors`` is its number of floors.
+    ``data`` has the bytes of the file. If the file is part of a building's file, ``num_floors`` is the number of
+    floors.
     """
     program = Program(decode(data))
     num_bytes = len(compact_bytes(program)) if compact else _tables(program)[2]
@@ -79,7 +80,7 @@ def cost_in_c(data: bytes, compact: bool = False, num_floors: int = 0) -> list[s
 
 
 def _cost_lines(program: Program, tables: int, compact: bool, is_building: bool = False) -> list[str]:
-    """Describe what a header with ``tables`` bytes of tables needs, then which functions it has."""
+    """Return lines that state the memory of a header with ``tables`` bytes of tables, and the header's functions."""
     is_cone, is_far = isinstance(program.leaf, Cone), program.corner is not None
     is_special = is_far or program.domain.is_periodic or program.folding_arrays or program.straight
     added = _GENERAL_COST if program.dim > 2 or is_special else (0, 0)

@@ -356,9 +356,9 @@ class _Middles:
         return mark, from_rounded[:, :, 0], 2 * np.where(is_whole, from_rounded, from_mean) + ~is_whole
 
     def encoded(self) -> tuple[Ints, Ints, Ints, Ints]:
-        """Return the marks, the *unit* of each record of 16 splits, and for each edge two integers and their bits.
+        """Return the marks, the *unit* of each record of 16 splits, and each edge's two integers and bit widths.
 
-        The unit is the bits of a ``narrow`` number. A ``wide`` number takes twice as many.
+        The unit is the bit width of a ``narrow`` number. A ``wide`` number takes twice as many bits.
         """
         # 1. Choose the units for which the records are smallest. Edges whose ``narrow`` number does not fit are
         #    stored wide: their mark changes from 1 to 2.
@@ -379,7 +379,7 @@ class _Middles:
 
 
 def _smooth_parameters(tree: Tree, corners: Ints, periodic: tuple[bool, ...]) -> Float[np.ndarray, "leaves terms"]:
-    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN where it is unknown.
+    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN if unknown.
 
     ``corners`` has the function's values at the corners of each node, ``(nodes, 4)``.
     """
@@ -481,7 +481,7 @@ class _SmoothCorners:
 
         Value and derivatives come from cubics along the edge. The edge is parallel to the axis ``edge``, and runs
         from the coordinate ``start`` to ``start + size``. The function's integer values at its two ends are ``ends``.
-        For the chain length, see :meth:`__call__`.
+        For the chain length, see :meth:`_numbers_at`.
         """
         # Number i at the ends p and q, with its derivatives along the edge (numbers i | along), gives a cubic: for
         # the value (i = 0), and for the derivative across the edge (i = 3 - along).

@@ -102,9 +102,9 @@ class StoredCones:
 def store_sources(
     sources: Sources, domain: Box, is_off: Bool[np.ndarray, "sources fractions"] | None = None
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
+    """Round sources to lattices, and merge sources whose rounded positions are equal.
 
-    If sources have ``exits``, those that are rounded alike merge only if their distances are equal up to rounding.
+    If sources have ``exits``, such sources merge only if their distances to the goal are also equal up to rounding.
     Return the stored sources, and the index of each given source among the stored sources. ``is_off`` is the result
     of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
     """

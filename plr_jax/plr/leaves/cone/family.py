@@ -369,10 +369,10 @@ class FamilyTask:
     goals_at_once: ClassVar[int] = 1
 
     def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], None]:
-        """Return ``([(tree, leaves)], None)``, with the largest tree within the limits, for the only oracle.
+        """Return ``([(tree, leaves)], None)``, with the largest tree within the limits.
 
-        If no sample has a path to the goal, return ``([None], None)``. The last None stands where
-        :class:`WorstFirst` returns the sources of all leaves.
+        ``oracles`` has one distance function. If no sample has a path to the goal, return ``([None], None)``. The
+        last None stands where :class:`WorstFirst` returns the sources of all leaves.
         """
         (oracle,) = oracles
         goal = goal_samples(oracle, self.shared)

@@ -56,7 +56,10 @@ class ConeBoxes(Rows):
 
     @property
     def peak(self) -> Float[np.ndarray, " boxes"]:
-        """The largest error of each cone; if ``by_side``, times the square root of (box's area / domain's area)."""
+        """The largest error of each cone in its box, to which :meth:`BoxLevel.costs` gives a weight.
+
+        If ``by_side``, the error is multiplied by the square root of (box's area / domain's area).
+        """
         # With this factor, boxes along a wall cost the same however often they are halved, so they are halved until
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
@@ -69,9 +72,10 @@ class ConeBoxes(Rows):
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
-    """Return the error up to which a cone counts as exact, as a query computes in 32-bit floats.
+    """Return the error up to which a cone counts as exact, because 32-bit queries may round by more.
 
-    It is a quarter of the machine epsilon of these floats times the largest finite distance.
+    The error is a quarter of the machine epsilon of 32-bit floats, times the largest finite entry of ``distances``:
+    distances to the goal from points in the domain.
     """
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 

@@ -233,7 +233,7 @@ class WorstFirst:
 def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
     """Return the axis along which to halve each box, so that the sum of the halves' largest errors is least.
 
-    The axis is -1 if the limits allow no halving. Both halves are judged by the box's present cone. Its errors are
+    The axis is -1 if the limits allow no halving. Both halves are judged by the box's present cone. Errors are
     measured at the corners of the convex pieces of free space in the box.
     """
     # 1. Errors, by corner and piece: |min over the piece's sources s of (d[s] + |x - s|)  -  the box's cone at x|.
