@@ -115,8 +115,7 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
     """
     source, floors, links = plr_or_pairs, None, []
     if isinstance(source, BuildingPLR):
-        source, of_building = source.plane, source.floors
-        shift = of_building.shift
+        source, of_building, shift = source.plane, source.floors, source.floors.shift
         parts = zip((of_building.lo + shift).tolist(), (of_building.hi + shift).tolist(), shift.tolist(), strict=True)
         floors = [dict(zip(("lo", "hi", "shift"), part, strict=True)) for part in parts]
         for index, link in of_building.arcs:
@@ -129,12 +128,12 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
     # 1. Write what field.js shows as JavaScript: name and walls, and the function. Pairs and plain cones are files,
     #    which the readers below decode. Other PLRs become code.
     data = source.to_bytes()
-    name = source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
+    name = source.label or ("A building" if floors else "A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     if workspace is not None and floors:  # drawn for each floor in another place: corners, not pixels
         rings = shapely.get_rings(shapely.get_parts(workspace.free_space))
         walls = {"isFree": True, "rings": [shapely.get_coordinates(ring)[:-1].round(9).tolist() for ring in rings]}
-    facts = {"name": name, "walls": walls, "floors": floors, "links": links}
+    facts = {"name": name, "size": plr_or_pairs.num_bytes, "walls": walls, "floors": floors, "links": links}
     content = {key: json.dumps(value) for key, value in facts.items()}
     if isinstance(source, PairPLR) or _is_plain_cone(Container.from_bytes(data)):
         content |= {"file": json.dumps(b64encode(data).decode())}
@@ -158,7 +157,7 @@ def _is_plain_cone(container: Container) -> bool:
 def _module(data: bytes) -> str:
     """Return JavaScript code of an object that holds a reader of the PLR file ``data``, and numbers about the file.
 
-    The numbers are its size in bytes, its number of cells, and its proven error.
+    The numbers are its number of cells and its proven error.
     """
     plr = NumpyPLR(data)
     module = plr.js_module()
@@ -167,4 +166,4 @@ def _module(data: bytes) -> str:
     # the tree, from which the page draws the cells. The module of a PLR with one leaf has no tree.
     exported = ", ".join([*_EXPORTED.findall(module), "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"])
     code = module.replace("export function", "function") + f"\nreturn {{ {exported} }};"
-    return f'{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: "{plr.num_leaves:,} cells", error: {error} }}'
+    return f'{{ read: () => {{\n{code}\n}}, kind: "{plr.num_leaves:,} cells", error: {error} }}'

@@ -24,7 +24,7 @@ from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRu
 from plr_jax.plr.leaves import Cone, leaf_model
 from plr_jax.plr.leaves.base import GivenLimits, LeafModel, Rules, check_limits
 from plr_jax.plr.portable.numpy import NumpyPLR
-from plr_jax.plr.sampling import FitRule, Sampler, WeightFn, least_squares
+from plr_jax.plr.sampling import NEEDED, FitRule, Sampler, WeightFn, least_squares
 from plr_jax.plr.source_cache import SourceCache
 from plr_jax.plr.tree import Cells, grown_domain
 
@@ -439,8 +439,7 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], Cell
     """
     hint = "Build the PLR without a proof and measure its error"
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
-        need = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
-        raise ValueError(f"A proof needs {need}, got a {type(oracle).__name__} in {domain.dim} dimensions. {hint}.")
+        raise ValueError(f"A proof needs {NEEDED}, got a {type(oracle).__name__} in {domain.dim} dimensions. {hint}.")
     if domain.is_periodic:
         raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {hint}.")
     return cell_sources
