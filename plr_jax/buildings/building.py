@@ -173,7 +173,8 @@ class BuildingOracle:
     def nearest_goal(self, floor: ArrayLike, x: ArrayLike) -> Int[np.ndarray, " n"]:
         """Return the index in ``goals`` of the goal where each shortest path ends, ``(n,)``; -1 without a path."""
         source, _ = self.paths.first_turns(self.building.in_plane(floor, x))
-        ends = path_ends(self.paths.sources.exits[self.paths.sources.parents])  # roots go on at their exits
+        # Roots are their own parents, and paths go on from there at their exits.
+        ends = path_ends(np.asarray(self.paths.sources.exits)[self.paths.sources.parents])
         return np.where(source < 0, -1, self.paths.root_numbers[ends[source]])
 
     def shortest_path(self, floor: int, x: ArrayLike) -> Route:
@@ -204,8 +205,8 @@ class BuildingOracle:
         graph: Any = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 
-    def construct(self, leaf: Any = "cone", **options: Any) -> "BuildingPLR":
-        """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
+    def construct(self, leaf: Any = "cone", *, max_bytes: Any = None, **options: Any) -> "BuildingPLR":
+        """Build one PLR of all floors; ``leaf``, ``max_bytes`` and ``options`` are those of :func:`construct`.
 
         For bounds, pass ``certified=True``. All floors share one budget of bytes or leaves, which goes to the largest
         errors. ``max_bytes`` limits the whole file, with its floors and links. Raises what :func:`construct` raises.
@@ -214,9 +215,9 @@ class BuildingOracle:
         from plr_jax.plr import construct, growth
 
         other_bytes = len(self.floors.to_bytes())
-        if isinstance(max_bytes := options.get("max_bytes"), int):
-            options["max_bytes"] = max(1, max_bytes - other_bytes)
+        rest = max(1, max_bytes - other_bytes) if isinstance(max_bytes, int) else max_bytes
         try:
-            return BuildingPLR(self.floors, construct(self.paths, self.building.plane.bounds, leaf=leaf, **options))
+            plane = construct(self.paths, self.building.plane.bounds, leaf=leaf, max_bytes=rest, **options)
         except growth.BudgetTooSmall as error:
-            raise growth.BudgetTooSmall(max_bytes, error.num_bytes + other_bytes) from None
+            raise growth.BudgetTooSmall(float(max_bytes), error.num_bytes + other_bytes) from None
+        return BuildingPLR(self.floors, plane)

@@ -1,9 +1,9 @@
 """Distances between any two points of a building, along paths that may take links from floor to floor."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
-from jaxtyping import Array, Float
 
 from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike
@@ -26,7 +26,7 @@ class BuildingPairs(OnFloors):
     ``pairs.plane.js_module`` raise ``ValueError``.
     """
 
-    def __call__(self, x: Places, y: Places) -> Float[Array, "*batch"]:
+    def __call__(self, x: Places, y: Places) -> Any:
         """Return the distance from points ``x`` to points ``y``, ``(...)``, costs of links included.
 
         Both are pairs ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``, else
@@ -35,7 +35,7 @@ class BuildingPairs(OnFloors):
         """
         return self.plane(*map(self.floors.places_in_plane, (x, y)))
 
-    def bounds(self, x: Places, y: Places) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    def bounds(self, x: Places, y: Places) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance, ``(...)`` each; see :meth:`PairPLR.bounds`."""
         return self.plane.bounds(*map(self.floors.places_in_plane, (x, y)))
 
