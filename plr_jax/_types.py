@@ -1,6 +1,6 @@
 """Types by which oracles, PLRs and planners work together: arrays, protocols of distance functions, and their data.
 
-Classes that have the members of a protocol, among others, and functions that ask for it::
+Each line of this table names a protocol, some classes that have its members, and functions that use these members::
 
     DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
     FunctionOfBox         PLR                               plot
