@@ -18,8 +18,8 @@ In Python, `help(plr_jax.guides.teams)` shows a page. On each page, examples run
 # Classes that are called like functions
 
 Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All other classes
-in this table take points of shape `(..., dim)`, and return distances of shape `(...)`. They also work under `jax.jit`,
-except `NumpyPLR` and `NumpyBuildingPLR`, which compute in NumPy.
+in this table take points of shape `(..., dim)`, and return distances of shape `(...)`. These classes also work under
+`jax.jit`, except `NumpyPLR` and `NumpyBuildingPLR`, which compute in NumPy.
 
 | class | call | answer |
 | --- | --- | --- |

@@ -26,8 +26,9 @@ oracle_opened = oracle_closed.with_workspace(opened)
 # The map
 
 `workspace.with_obstacles(add=..., remove=...)` of a `plr_jax.Workspace` takes obstacles in the forms that the
-constructor takes. To remove an obstacle, give its index in `workspace.obstacles`, or the obstacle itself. All other obstacles keep their
-index: an empty polygon replaces a removed obstacle. Points that another obstacle covers stay blocked.
+constructor takes. To remove an obstacle, give its index in `workspace.obstacles`, or the obstacle itself. All other
+obstacles keep their index: an empty polygon replaces a removed obstacle. Points that another obstacle covers stay
+blocked.
 
 # The oracle
 

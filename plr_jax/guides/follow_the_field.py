@@ -84,9 +84,9 @@ ax = plr_jax.plot.plot_workspace(workspace, unit="m")
 ax.plot(*routes[0].T)
 ```
 
-For agents with a radius, build the field for the area shrunk by the radius, `area.buffer(-radius, join_style="mitre")`.
-Agents may push one another nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with JuPedSim,
-which refuses targets on walls.
+For agents with a radius, build the field for the shrunk area `area.buffer(-radius, join_style="mitre")`. Agents may
+push one another nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with
+JuPedSim, which refuses targets on walls.
 
 # Gradient
 

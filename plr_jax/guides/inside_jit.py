@@ -69,8 +69,8 @@ print(between(jnp.array([1.5, 1.5]), jnp.array([[1.5, 1.5], [1.5, 9.5]])))
 Any-angle paths bend at corners of blocked cells. Time and memory grow with the square of `max_corners`, the largest
 number of corners of a map; without a goal, time grows with the cube. The default allows all corners of up to 17 x 17
 cells, and half of the corners of larger grids. With a smaller number, mazes become several times faster. If a map has
-more corners, its distances are NaN and `field.is_complete` is false. So begin with a small number, and double it until
-`is_complete` is true for all maps of a sample:
+more corners, its distances are NaN and `field.is_complete` is false. So begin with a small number, and double it
+until `is_complete` is true for all maps of a sample:
 
 ```python
 maps = jax.random.bernoulli(jax.random.key(1), 0.9, (1000, 11, 11))
@@ -116,6 +116,5 @@ state, reward, is_done = jax.jit(jax.vmap(step))(state, jnp.zeros(64, int), keys
 ```
 
 The rule by which agents move must forbid the motions that the distance forbids: into blocked cells, and between two
-blocked cells that share only a corner. Otherwise rewards are `inf` or NaN. `plr_jax.VisibilityGraph` and other oracles run on the host, not
-inside `jit`.
+blocked cells that share only a corner. Otherwise rewards are `inf` or NaN. Oracles run on the host, not inside `jit`.
 """
