@@ -96,9 +96,9 @@ class Sources:
 
     @staticmethod
     def of_graph(points: Points, distances: Distances, parents: Int[np.ndarray, " v"], *roots: Any) -> "Sources":
-        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next one.
+        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next vertex.
 
-        ``roots`` may have ``root_numbers`` and ``exits``.
+        The optional arguments ``roots`` are the fields ``root_numbers`` and ``exits``.
         """
         return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents), *roots)
 

@@ -64,7 +64,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Return a PLR of at most ``max_bytes`` bytes, fitted to samples of an estimate.
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to samples of an estimate of the cost-to-go.
 
     If ``field`` is given, the PLR has the field's proven bounds. ``seed`` is the seed of the samples.
     """

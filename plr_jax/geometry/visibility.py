@@ -304,7 +304,7 @@ class VisibilityTable:
         return seen
 
     def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
-        """Return the side of a ray on which each point ``x[i]`` lies: positive on the left, 0 on the ray, else negative.
+        """Return on which side of a ray each point ``x[i]`` lies: positive left of it, 0 on it, negative right of it.
 
         The ray begins at viewpoint ``v[i]``, in the direction in which interval ``row[i]`` of the table starts.
         ``key[i]`` is the key (see the class) of the point's direction from the viewpoint. The viewpoint's first
@@ -428,7 +428,10 @@ def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vector
 
 
 def _exact_order(view: Indices, key: Numbers, directions: Rays, num_views: int) -> Indices:
-    """Return the order of directions by key, and by an exact test if their keys are equal up to rounding."""
+    """Return the indices that sort directions by viewpoint, then counterclockwise from the viewpoint's cut.
+
+    Keys decide, or an exact test where keys are equal up to rounding. ``directions`` are vectors ``(dx, dy)``.
+    """
     # Swap neighbors in the wrong order: row k of `order` and row k + 1, for each k in `near`. Swaps of one round must
     # not overlap. Test the neighbors of swapped rows again.
     dx, dy = directions

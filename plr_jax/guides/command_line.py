@@ -50,9 +50,9 @@ A scanned floor plan has a scale, gray levels, and specks. These options of `bui
 - `--radius` is the radius of a round robot; distances are then distances of its center.
 
 Two approximations are made before the error is proven. Polygons replace the pixels, which may move outlines by half a
-pixel. With `--radius`, obstacles grow, and polygons inscribed in their round corners replace the arcs. The proven error
-is the error on the resulting map, not on the picture. The domain of the file is the part of the picture that contains
-free space.
+pixel. With `--radius`, obstacles grow, and polygons inscribed in their round corners replace the arcs. The proven
+error is the error on the resulting map, not on the picture. The domain of the file is the part of the picture that
+contains free space.
 
 ```python
 import numpy as np

@@ -57,7 +57,8 @@ def read_image(
 
     Args:
         path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
-            most 16,777,216 pixels, or 12,582,912 in color; with more than 4,194,304, at most 4,096 pixels per byte of the file.
+            most 16,777,216 pixels, or 12,582,912 in color. A picture of more than 4,194,304 pixels may have at most
+            4,096 pixels per byte of its file.
         resolution: Side of a pixel, in workspace units.
         origin: Position of the outer corner of the lower left pixel.
         threshold: Lightness above which a pixel is free, from 0 to less than 1.
