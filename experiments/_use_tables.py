@@ -15,7 +15,7 @@ _SHOWN = 6_144  # bytes; the results have other sizes too
 
 def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
     """Seconds and costs of ``bl_plan``, the paper's seconds, and those of the best of OMPL."""
-    table = [["scene", "paper, s", "`bl_plan`, s", "on a new map, s", "cost / bound", "best of OMPL, s"]]
+    table = [["scene", "paper, s", "`bl_plan`, s", "on a new map, s", "cost / bound", "OMPL to our cost, s"]]
     rows = {row["scene"]: row for row in results["rows"] if row["heuristic"] == "lattice"}
     for total in race["summary"]:
         if (name := total["scene"]) in _IN_BETWEEN:
@@ -29,12 +29,12 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
         cells += [f"{same['new_map']:.2f}", spread(row["cost_over_bound"], ".3f")]
         table.append([name, *cells, in_time(same["best"])])
     winners = [scenes_by_winner(race["summary"], "first_path", key) for key in ("sooner", "sooner_on_new_map")]
-    first = "ours sooner in {}, OMPL's in {}; on new maps in {} and {}"
+    first = "`bl_plan` was sooner in {}, OMPL in {}; on new maps, `bl_plan` in {}, OMPL in {}"
     first = first.format(*(len(each[who]) for each in winners for who in ("ours", "OMPL")))
     return markdown(table, numbers=5) + (
-        f"\nMedians (worst) of {len(race['seeds'])} variants. OMPL: within {race['limit']['least']:g} s, or "
-        f"{race['limit']['factor']:g} times our time. First path of {len(race['summary'])} scenes: {first} (sign "
-        "test, 5 %).\n"
+        f"\nMedians (worst) of {len(race['seeds'])} variants. OMPL: seconds until a planner reaches our cost, or in "
+        f"how many variants one does, within {race['limit']['least']:g} s or {race['limit']['factor']:g} times our "
+        f"time. First path in {len(race['summary'])} scenes: {first} (sign test, 5 %).\n"
     )
 
 

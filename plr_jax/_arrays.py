@@ -1,4 +1,6 @@
-"""Checks of the arguments of public functions, and small helpers for NumPy arrays: ragged arrays, padding, hashes.
+"""Checks of the arguments that users pass to public functions, and helpers for NumPy arrays.
+
+The helpers pad arrays, split and hash them, and index *ragged* arrays: consecutive runs of different lengths.
 
 A function ``as_...`` checks a value, and returns it in the stated type. A bad value raises a ``ValueError``; the
 message calls the value ``name``. NaN and infinity are accepted, and float64 arrays are returned without a copy,
@@ -216,7 +218,7 @@ def as_finite(name: str, value: object, *, positive: bool = False) -> float:
 
 
 def as_offsets(value: ArrayLike | None, count: int) -> Float[np.ndarray, " goals"]:
-    """Check costs of using each of ``count`` goals, finite and at least 0; None stands for zeros."""
+    """Check costs of using goals, ``(count,)``, finite and at least 0, and return them; None stands for zeros."""
     form = f"{count} finite numbers of at least 0, one per goal"
     costs = as_numbers("offsets", np.zeros(count) if value is None else value, form)
     if costs.shape != (count,) or not ((costs >= 0) & np.isfinite(costs)).all():

@@ -28,6 +28,8 @@ class Problem:
     are moved off the walls.
 
     Args:
+        workspace: The obstacles and bounds.
+        robots: The robots, one or more.
         starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a
             heading, else ``(x, y, heading)`` with the heading in radians, ignored for points and discs.
         goals: Goal configurations, ``(robots, dof)``.

@@ -1,6 +1,6 @@
 """Types by which oracles, PLRs and planners work together: arrays, protocols of distance functions, and their data.
 
-Classes that have the members of a protocol, among others, and functions that ask for it::
+Each line of this table names a protocol, some classes that have its members, and functions that use these members::
 
     DimensionedFn         oracles, PLR                      NearestGoal, sum_of_distances
     FunctionOfBox         PLR                               plot
@@ -96,9 +96,9 @@ class Sources:
 
     @staticmethod
     def of_graph(points: Points, distances: Distances, parents: Int[np.ndarray, " v"], *roots: Any) -> "Sources":
-        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next one.
+        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next vertex.
 
-        ``roots`` may have ``root_numbers`` and ``exits``.
+        The optional arguments ``roots`` are the fields ``root_numbers`` and ``exits``.
         """
         return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents), *roots)
 

@@ -48,13 +48,13 @@ def run(output: Path) -> None:
 
 def _maze(file: Path) -> None:
     """Build, plot and view the distance to a goal in a maze by the commands; measure its speed."""
-    # 1. Construct and save the PLR, and compare its distances with the exact ones.
+    # 1. Build a PLR, measure its error and write its file, by the command `build`; then load the file.
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     typer.echo(f"A maze of six walls. The distances of all points to the goal {tuple(goal.tolist())} go into 1 KB.")
     build("maze", output=file, max_bytes=_MAX_BYTES, leaf="cone")
     plr, oracle = plr_jax.load(file), plr_jax.VisibilityGraph(workspace, goal)
-    # 2. Compare its speed.
+    # 2. Compare the speeds of the PLR and of the oracle.
     points = workspace.sample_free(_PLR_POINTS, seed=1)
     device = jax.devices()[0]
     where = "this machine's CPU" if device.platform == "cpu" else device.device_kind
@@ -76,7 +76,7 @@ def _maze(file: Path) -> None:
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
     """Return how many points per second ``function`` evaluates, from the median time of ``repeats`` calls.
 
-    One more call before these compiles the function.
+    A first call, which is not timed, compiles the function.
     """
     jax.block_until_ready(function(points))
     seconds = timeit.repeat(lambda: jax.block_until_ready(function(points)), number=1, repeat=repeats)

@@ -138,7 +138,10 @@ def _direction(x: Column, y: Column) -> Columns:
 
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
-    """Return the gaps between pairs of convex bodies, for :func:`bisect`."""
+    """Return two gaps between convex bodies for :func:`bisect`: a bound for the whole motion, and one at its ends.
+
+    The result is a pair of arrays, with one entry for each column of ``a`` and ``b``.
+    """
     # The gap along a unit vector n is min(n . q over corners q of b) - max(n . p over corners p of a). `gap` is the
     # largest lower bound of the gap during the whole motion, over the axes below.
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
@@ -268,7 +271,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
-    """Return the gaps between pairs of a box ``a`` and a point ``b``, for :func:`bisect`."""
+    """Return two gaps between boxes ``a`` and points ``b`` for :func:`bisect`, as :func:`convex_separation` does."""
     # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
     ends, distances = [], []
     for end in (0.0, 1.0):

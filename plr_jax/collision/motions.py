@@ -49,9 +49,10 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace the path of robot ``i``, or only the given ``rows`` of the path, by the configurations ``q``.
+        """Replace robot ``i``'s configurations by ``q``, in all rows of the path or only in the slice ``rows``.
 
-        If ``rows`` is given, the first and the last row of ``q`` must equal the path's rows that they replace.
+        If ``rows`` is given, the first and the last configuration of ``q`` must equal the configurations that they
+        replace, so that the motions before and after these rows do not change.
         """
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
@@ -166,7 +167,7 @@ class JointMotionTest:
 
     @cached_property
     def first_equal(self) -> Int[np.ndarray, " robots"]:
-        """For each robot, the lowest index of a robot that equals it."""
+        """For each robot, the lowest index of a robot of equal shape, which may be the robot's own index."""
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 

@@ -180,7 +180,9 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return the values, at the corners of each box, of a concave lower bound of the cost-to-go in the box.
+        """Return the values, at the corners of boxes, of a lower bound of the cost-to-go that is concave in each box.
+
+        The bound follows from the costs of straight motions to the goals. It is 0 if an axis is periodic.
 
         ``lo`` and ``hi`` are the lower and upper corners of boxes, in coordinates of the domain.
         """

@@ -64,7 +64,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Return a PLR of at most ``max_bytes`` bytes, fitted to samples of an estimate.
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to samples of an estimate of the cost-to-go.
 
     If ``field`` is given, the PLR has the field's proven bounds. ``seed`` is the seed of the samples.
     """
@@ -215,7 +215,7 @@ def _above_voxel_paths(
 
     ``cells`` are the leaves, and ``coefficients`` the values of each leaf function f at the corners of its leaf.
     ``across`` is the largest change of each leaf's f across the leaf, by axis, ``(leaves, dim)``. The bound is
-    ``inf`` if the leaf overlaps a free voxel without a path to a goal. All bounds are ``inf`` if the space has a
+    ``inf`` if the leaf overlaps a free voxel without a path to a goal. All bounds are ``inf`` if the robot has a
     radius, more than 2**24 voxels, or not three axes.
     """
     # From a free point x of a leaf, a path leads straight to the center c of its voxel, and on from center to center.

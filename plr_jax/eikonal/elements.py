@@ -25,7 +25,9 @@ from plr_jax.plr.leaf_faces import eliminate_constraints, nodes_in_faces, resolv
 
 Numbers: TypeAlias = Float[np.ndarray, " n"]
 Curve: TypeAlias = tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]  # breakpoints and values
-_MOST_WEIGHTS_OF_NODE = 2**8  # additions for each group of nodes in the elimination of step 3, which bounds its time
+# Step 3 of `function_space` eliminates variables. The elimination raises `ValueError` if it takes more additions than
+# this number times the number of groups of nodes, so that its time is limited.
+_MOST_WEIGHTS_OF_NODE = 2**8
 # By the degree, along one axis: weights of the trapezoidal rule and of Simpson's rule, and the matrix from values at
 # equally spaced nodes to Bernstein coefficients. For degree 2, the middle one is 2 * f(1/2) - (f(0) + f(1)) / 2.
 _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
@@ -114,12 +116,14 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     """Build the finite-element space of ``degree`` 1 or 2 on a mesh (see :class:`FunctionSpace`)."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
-    # 1. Take the lattice points of the open faces that two cells share, as points of both cells: index 0 on the first
-    #    axis of `cell` and `t` (local coordinates) is for the cell below the face, index 1 for the cell above it. All
-    #    nodes of both cells in the face are among them. Find nodes that are one with a node of the other cell
-    #    (`twins`), and nodes that hang on the other cell: `hanging` nodes, the cell `on_cell`, and their local
-    #    coordinates `at` in it. If cells are long along different axes, a corner of their shared face (x) may be a
-    #    node of neither: find also these pairs of cells (`crossing`), and its local coordinates in both (`places`).
+    # 1. Compare the nodes of each two cells that share an open face. `nodes_in_faces` returns points of the shared
+    #    part of the face, with all nodes of both cells there, and their local coordinates `t` in both cells `cell`.
+    #    Index 0 on the first axis of both is for the cell below the face, index 1 for the cell above it. A point is
+    #    a) a node of both cells: the two nodes are one (`twins`);
+    #    b) a node of one cell only: this node hangs on the other cell. `hanging` has such nodes, `on_cell` the other
+    #       cells, and `at` the local coordinates of the nodes in them;
+    #    c) a node of neither cell, such as a corner (x) of the part that cells long along different axes share:
+    #       `crossing` has both cells, and `places` the local coordinates of the point in both.
     #       o------o
     #       | b    |          A face of cell a (wide) and a face of cell b (high) lie in one plane.
     #   o---x------x---o

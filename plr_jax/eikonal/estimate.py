@@ -344,7 +344,10 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: tuple[int, ...]) -> 
 
 
 def _walled_nodes(space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides) -> IsOpen:
-    """Return one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
+    """Return a mask of nodes of the grid: of each two neighbors that a wall separates, the node nearer to the wall.
+
+    ``node`` has the positions of the nodes, and ``side`` the grid step along each axis.
+    """
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         # Motions between two open nodes need a test unless both cells are proven free.

@@ -243,9 +243,9 @@ class VoxelGroups(NamedTuple):
     def completed(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
         """Return the costs of all open nodes, and costs of the groups' other voxels, from the ``cost`` of a march.
 
-        A march misses nodes to which only other voxels lead. It begins again in each region of these nodes, at the
-        node nearest to the goal. For a group, the cost of its other voxel that is nearest to the goal is returned:
-        ``inf`` if it has none, or no path leads there.
+        Other voxels are those for which the group's node does not stand. A march misses nodes to which only other
+        voxels lead: it begins again in each region of such nodes, at the node nearest to the goal. The second result
+        has, for each group, the least cost of its other voxels: ``inf`` if there are none, or no path leads there.
         """
         missed_cost, others = self._costs_across_faces(cost, slowness)
         labeled: Any = ndimage.label(self.is_open & np.isfinite(missed_cost))

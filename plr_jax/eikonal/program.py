@@ -212,8 +212,9 @@ _GAIN = 5e-4  # least relative rise of the bound that counts
 _PATIENCE = 30  # iterations without such a rise after which the solver stops
 _RESIDUAL = 1e-2  # share of the residual that conjugate gradients leave
 _MOST_STEPS = 50  # most steps of conjugate gradients
-# Largest envelope of a factored matrix in three dimensions. The bodies of experiments/solve.py lie on both sides.
-# Below the limit, factors are faster. Above it, factors of the arm, whose axes are periodic, take most of the time.
+# In three dimensions, matrices with an envelope (see `_envelope`) up to this limit are factored. Larger matrices have
+# a multigrid preconditioner instead. The limit was measured on the turning bodies and arms of experiments/solve.py:
+# below it, factors are faster; above it, factoring takes most of the time, as for an arm, whose axes are periodic.
 _LARGEST_ENVELOPE = 80_000_000
 _COARSEST_GRID = 100  # most unknowns of the coarsest grid of multigrid
 

@@ -248,7 +248,7 @@ def _field(
 ) -> tuple[CostToGoField, WhichGoal]:
     """Solve for bounds and an estimate of the cost-to-go; also return a function that finds the goals of points.
 
-    ``goals`` are fractions of the domain. The goals as ``given`` are not rounded.
+    ``goals`` are fractions of the domain; ``given`` are the same goals in the domain's own coordinates, not rounded.
     """
     # 1. Solve for the lower bound, in the part of the space that paths join to goals.
     reached, cut_off = space.separated(given) if isinstance(space, Separable) else (space, None)

@@ -211,7 +211,7 @@ class CellSources:
     - It is at least the minimum of ``distances[s] + |x - points[s]|`` over the piece's sources ``s``.
     - It is at most the minimum of this sum over those sources ``s`` that are visible from every point of the piece.
 
-    Pieces without a path to the goal are then left out.
+    If the distances are known, pieces without a path to the goal are left out.
     """
 
     sight: Sight

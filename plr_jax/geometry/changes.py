@@ -43,7 +43,7 @@ class Change:
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, " new_edges"]:
-        """For each edge of ``new``, whether it is no edge of ``old``."""
+        """For each edge of the boundary after the change, whether the boundary before the change lacks this edge."""
         return np.isin(np.arange(len(self.new.edges)), self.edge, invert=True)
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:

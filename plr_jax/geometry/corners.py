@@ -293,7 +293,10 @@ class TurnRegions(NamedTuple):
 
     @staticmethod
     def of(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> "TurnRegions":
-        """List the triangles that each turn sees in its cone; ``views`` are the turns as viewpoints."""
+        """List, for each triangle of free space, the turn points that see a part of the triangle within their cone.
+
+        ``views`` are the turn points as viewpoints.
+        """
         visits = triangles_within(triangulation, views, *turns.bounds)
         return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
@@ -359,7 +362,7 @@ def triangles_at(
     """Return the triangles that contain each point, as arrays ``(first, triangle)``.
 
     Point ``i`` lies in the triangles ``triangle[first[i] : first[i + 1]]``: one, or two if the point lies on the side
-    between them. A point at a vertex has one entry, the number of triangles.
+    between them. For a point at a vertex, the only entry is not a triangle, but the number of all triangles.
     """
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3

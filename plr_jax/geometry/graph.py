@@ -88,7 +88,7 @@ def dijkstra(
 
 
 def connected_groups(num_vertices: int, edges: Int[np.ndarray, "2 _"]) -> Int[np.ndarray, " v"]:
-    """Return the number of the connected component of each vertex, from 0; ``edges`` has two rows of vertices."""
+    """Return the number, from 0, of each vertex's connected component; a column of ``edges`` joins two vertices."""
     graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(num_vertices, num_vertices))
     return csgraph.connected_components(graph, directed=False)[1]
 

@@ -32,9 +32,10 @@ Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
 def _free_polygons(free: Mask) -> tuple[Any, Bool[np.ndarray, "_ _"]]:
-    """Return the free pixels as Shapely polygons, and whether free pixels touch only diagonally at lattice points.
+    """Return the free pixels as Shapely polygons, and where two free pixels touch only diagonally.
 
-    Polygons have coordinates ``(row, column)``, and rings that begin at the least corner, shells clockwise.
+    Polygons have coordinates ``(row, column)``, and rings that begin at the least corner, shells clockwise. The
+    second result, booleans ``(rows + 1, columns + 1)``, has an entry for each corner of pixels.
     """
     # 1. Find the corners: lattice points at which an odd number of the four pixels is free, or two opposite ones are.
     padded = np.pad(free, 1)

@@ -71,13 +71,19 @@ class Viewpoints:
         return Viewpoints(np.concatenate([self.points, other.points]), owner, np.append(self.edge, other.edge))
 
     def split(self) -> "tuple[Viewpoints, Indices]":
-        """Return viewpoints that look into at most one sector each, and the index of which point each is a copy."""
+        """Replace each viewpoint that has several sectors by copies with one sector each.
+
+        Return the new viewpoints and, for each of them, the index of the viewpoint of which it is a copy.
+        """
         order = np.argsort(self.owner, kind="stable")
         of = np.sort(np.append(self.owner, np.setdiff1d(np.arange(len(self.points)), self.owner)))
         return Viewpoints(self.points[of], np.flatnonzero(np.isin(of, self.owner)), self.edge[order]), of
 
     def joins(self, view: Indices, other: "Viewpoints", of_other: Indices) -> Bool[np.ndarray, " pairs"]:
-        """Return whether paths may pass between viewpoints of each pair: False for two sectors of one point."""
+        """Return whether a path may pass between viewpoints ``view[i]`` and ``of_other[i]``, the latter of ``other``.
+
+        The result is False if both viewpoints lie at one point, but look into different sectors.
+        """
         joins = (self.points[view] != other.points[of_other]).any(axis=1)
         for pair in np.flatnonzero(~joins):
             mine, others = self.edge[self.owner == view[pair]], other.edge[other.owner == of_other[pair]]
@@ -298,11 +304,12 @@ class VisibilityTable:
         return seen
 
     def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
-        """Return on which side of a ray each point ``x[i]`` lies: positive on the left, 0 on the ray.
+        """Return on which side of a ray each point ``x[i]`` lies: positive left of it, 0 on it, negative right of it.
 
-        The ray leads from viewpoint ``v[i]`` in the direction at which interval ``row[i]`` starts. ``key[i]`` is the
-        number that stands for the point's direction. The result is positive for the viewpoint's first interval, and
-        negative for the row after its last interval.
+        The ray begins at viewpoint ``v[i]``, in the direction in which interval ``row[i]`` of the table starts.
+        ``key[i]`` is the key (see the class) of the point's direction from the viewpoint. The viewpoint's first
+        interval starts at the cut, which all points count as left of. For the row after the viewpoint's last
+        interval, all points count as right of the ray.
         """
         has_vertex = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
@@ -421,7 +428,10 @@ def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vector
 
 
 def _exact_order(view: Indices, key: Numbers, directions: Rays, num_views: int) -> Indices:
-    """Return the order of directions by key, and by an exact test if their keys are equal up to rounding."""
+    """Return the indices that sort directions by viewpoint, then counterclockwise from the viewpoint's cut.
+
+    Keys decide, or an exact test where keys are equal up to rounding. ``directions`` are vectors ``(dx, dy)``.
+    """
     # Swap neighbors in the wrong order: row k of `order` and row k + 1, for each k in `near`. Swaps of one round must
     # not overlap. Test the neighbors of swapped rows again.
     dx, dy = directions

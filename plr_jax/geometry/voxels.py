@@ -137,11 +137,12 @@ class VoxelGrid:
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Contacts: edges and corners around which free voxels are not all connected through common faces.
+        """Contacts: edges and corners of voxels around which free voxels are not all connected through common faces.
 
-        Each item is a pair: the axes normal to the contacts, and a table that counts such contacts. Index ``k`` of
-        the table means the face between voxels ``k`` and ``k + 1`` along a normal axis, and voxel ``k`` along any
-        other axis.
+        An edge along z is normal to x and y, and a corner to all axes. Each item is a pair: the axes to which the
+        contacts of this item are normal, and a table that counts these contacts in ranges of indices. Along a normal
+        axis, index ``k`` of the table is the face between voxels ``k`` and ``k + 1``. Along any other axis, index
+        ``k`` is voxel ``k``.
         """
         several = (across for num in range(2, self.dim + 1) for across in combinations(range(self.dim), num))
         contacts = ((across, are_disconnected(self.padded, across)) for across in several)

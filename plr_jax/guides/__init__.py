@@ -3,7 +3,7 @@
 - `plr_jax.guides.distance_function`: store the distance to a goal in kilobytes.
 - `plr_jax.guides.any_two_points`: distances between any two points, and to many goals.
 - `plr_jax.guides.buildings`: floors, stairs, lifts, one-way links.
-- `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are drawn inside `jit`.
+- `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are created inside `jit`.
 - `plr_jax.guides.changing_map`: obstacles that come and go.
 - `plr_jax.guides.costs_and_volumes`: cost maps, voxels, bodies, arms; no oracle needed.
 - `plr_jax.guides.cost_distance`: travel times over rasters to the nearest of several sources, for GIS.
@@ -17,8 +17,9 @@ In Python, `help(plr_jax.guides.teams)` shows a page. On each page, examples run
 
 # Classes that are called like functions
 
-Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All other
-classes take points `(..., dim)`, return `(...)`, and also work under `jax.jit`, except classes in NumPy.
+Oracles, costs and heuristics take batches `(n, dim)`, return `(n,)`, and run on the host, in NumPy. All other classes
+in this table take points of shape `(..., dim)`, and return distances of shape `(...)`. These classes also work under
+`jax.jit`, except `NumpyPLR` and `NumpyBuildingPLR`, which compute in NumPy.
 
 | class | call | answer |
 | --- | --- | --- |

@@ -25,9 +25,10 @@ oracle_opened = oracle_closed.with_workspace(opened)
 
 # The map
 
-`workspace.with_obstacles(add=..., remove=...)` of a `plr_jax.Workspace` takes obstacles as the class does. To
-remove an obstacle, give its index in `workspace.obstacles`, or the obstacle itself. All other obstacles keep their
-index: an empty polygon replaces a removed obstacle. Points that another obstacle covers stay blocked.
+`workspace.with_obstacles(add=..., remove=...)` of a `plr_jax.Workspace` takes obstacles in the forms that the
+constructor takes. To remove an obstacle, give its index in `workspace.obstacles`, or the obstacle itself. All other
+obstacles keep their index: an empty polygon replaces a removed obstacle. Points that another obstacle covers stay
+blocked.
 
 # The oracle
 
@@ -47,7 +48,8 @@ print(plr_closed.max_error, plr_jax.certify(plr, oracle_closed).max_error)
 
 # For other changes
 
-- Distances were measured at some points, such as trips: train a PLR's values, in `plr_jax.guides.gradients`.
+- New distances were measured at some points, such as lengths of trips: train the values of a PLR to fit them, in
+  `plr_jax.guides.gradients`.
 - Goals change, the map does not: `plr_jax.construct_pairs` or `plr_jax.construct_many`, in
   `plr_jax.guides.any_two_points`.
 - The map changes at every step, or inside `jit`: `plr_jax.grid_distance`, in `plr_jax.guides.inside_jit`.

@@ -28,31 +28,31 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
 - `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` is standard input. A point outside the
   domain gets `inf`, a line that is no point gets `nan` and a warning. `--bounds` adds proven bounds, and `--which`
-  the index of the nearest goal, if leaves are cones of several goals. For pairs, lines are `x,y,x,y`.
+  the index of the nearest goal, for files of cones and several goals. For pairs, lines are `x,y,x,y`.
 - `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Both draw the walls of
   the map that the file was built from. If the file of the map has moved, name it: `--map scan.png` of `plot`, or the
   argument MAP of `view`. The map is read with the options that the PLR was built with.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`), and prints how much memory C code takes: see
   `plr_jax.guides.c_and_javascript`.
 - `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
-  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes. Other
-  heuristics and options are those of `bl_plan` in Python.
+  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes. To choose a
+  heuristic, or options that the command does not have, call `plr_jax.bl_plan` in Python.
 - `demo --output FOLDER` builds a maze, compares it with the exact distance, plans for four rooms, and draws both.
 
 # From a picture to C
 
-A scanned plan has a scale and noise. These options of `build` describe it:
+A scanned floor plan has a scale, gray levels, and specks. These options of `build` say how to read it:
 
 - `--resolution` is the side of a pixel in workspace units. `--goal` is in workspace units too. Without
   `--resolution`, workspace units are pixels.
-- `--drop-specks` removes obstacles and free regions of at most so many pixels.
-- `--threshold` is the lightness above which a pixel is free.
+- `--drop-specks N` removes obstacles of at most `N` pixels, then free regions of at most `N` pixels.
+- `--threshold` is the lightness above which a pixel is free: at least 0 (black) and below 1 (white), by default 0.5.
 - `--radius` is the radius of a round robot; distances are then distances of its center.
 
-Two approximations precede the proof. Polygons replace the pixels, which may move outlines by half a pixel. With
-`--radius`, obstacles grow, and polygons inscribed in their round corners replace the arcs. The proven error is the
-error on the resulting map, not on the picture. The domain of the file is the part of the picture that contains free
-space.
+Two approximations are made before the error is proven. Polygons replace the pixels, which may move outlines by half a
+pixel. With `--radius`, obstacles grow, and polygons inscribed in their round corners replace the arcs. The proven
+error is the error on the resulting map, not on the picture. The domain of the file is the part of the picture that
+contains free space.
 
 ```python
 import numpy as np

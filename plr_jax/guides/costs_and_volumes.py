@@ -1,8 +1,8 @@
 """Guide: build a cost-to-go from costs, voxels, bodies and arms, without an oracle.
 
 `plr_jax.solve_eikonal` needs only a *configuration space*, which says what is free, and a goal. With a *cost map*,
-costs differ from place to place. The result is a `plr_jax.PLR`. From a raster to a file with bounds, use
-`solve_eikonal`; from a raster to a raster, use `plr_jax.cost_distance`.
+costs differ from place to place. The result is a `plr_jax.PLR`. To turn a raster of costs into a raster of distances,
+use `plr_jax.cost_distance` instead.
 
 ```python
 import numpy as np
@@ -51,7 +51,7 @@ print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)
 # Compare with a grid solver
 
 Give a grid solver the `cost` at its nodes, not `values`, with at least 8 nodes along a side of a cell. Start it on a
-circle around the goal in which the cost is 1: beside a single point, grid solvers err most.
+circle around the goal, not at the goal, where grid solvers have large errors. Inside the circle, the cost must be 1.
 
 ```python
 import skfmm
@@ -117,5 +117,5 @@ print(pipe_plr((9, 0)), pipe_plr((9, 3)))
 
 Proofs need a `plr_jax.spaces.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.spaces.CellState` for each
 box, and `are_free(q0, q1)` tests motions. It must answer FREE or BLOCKED only where that is proven, else MIXED. With
-`sees_boxes`, a `plr_jax.spaces.SeesBoxes`, upper bounds are finite beside walls too, but for points by walls' ends.
+`sees_boxes`, a `plr_jax.spaces.SeesBoxes`, upper bounds are finite beside walls too, except near the ends of walls.
 """

@@ -25,7 +25,7 @@ A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` read
 `map_server` YAML, GeoJSON and WKT. In pictures, the top row has the highest `y`; in Moving AI's `.map`, the lowest,
 unless `row0="top"`. `Workspace.from_mask(free)` takes pixels and `Workspace.from_polygons(parts)` free space as
 polygons. For a disc, `workspace.inflate(radius)` grows obstacles by polygons inside the arcs of round corners, so
-distances are never too long. With `outside=True`, they lie around the arcs, so paths keep the radius, up to rounding.
+distances are never too long. With `outside=True`, polygons lie around arcs: paths keep the radius, up to rounding.
 `plr_jax.scenes` has ready-made maps. A PLR's domain is a `plr_jax.Box` of any dimension; axes may be periodic.
 
 # Oracles
@@ -66,8 +66,8 @@ the largest error in a cell. Leaves:
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: cones if the budget has ample room for all corners; else the best of several PLRs. It builds only one PLR
-  if the oracle knows no corners, such as a `Roadmap`, or without a proof if corners need over 4 times the budget.
+- `"best"`: cones if `max_bytes` has ample room for all corners; else the most exact of several PLRs. If the oracle
+  knows no corners, such as a `Roadmap`, or without a proof if corners need over 4 times `max_bytes`: `"continuous"`.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
@@ -98,7 +98,7 @@ plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 
 `plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. If its
 oracles are `VisibilityGraph`s of one workspace, its PLRs of cones can be certified, and their files store the index.
-Other files do not. A wide door is a row of goals: the error is at most half of their spacing. For routes see
+Other files do not. Represent a wide door by a row of goals: the error is at most half their spacing. For routes see
 `plr_jax.guides.follow_the_field`, for a PLR of each goal `plr_jax.guides.any_two_points`.
 
 ```python

@@ -12,7 +12,7 @@
 # Descend
 
 `plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, it reaches the
-goal from every start from which a path exists, even by a poor field: the field only decides which way to go.
+goal from every start from which a path exists, even if the field has large errors: it only decides which way to go.
 
 ```python
 import jax
@@ -60,7 +60,8 @@ print(cones.waypoint(starts[:3]))  # also inside jit
 
 # Routes of many agents to several exits
 
-Paths lead to the nearest of several exits. Where a small file has no free path, `arrived` is false: use `descend`.
+Paths lead to the nearest of several exits. If a small file holds no free path from a start, `traces.arrived` is false
+there: use `descend` for such starts.
 
 ```python
 nearest = plr_jax.NearestGoal([oracle, oracle.with_goal((0.9, 0.1))])
@@ -71,7 +72,8 @@ print(traces.arrived.mean(), cones.which(starts[:3]))
 ```
 
 A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 2e-8 of the map's width. To
-check routes with your own Shapely polygon, allow for this. Plots are on axes of Matplotlib, which also draw routes.
+check routes with your own Shapely polygon, grow it by a little more than these errors, as below. Functions of
+`plr_jax.plot` return Matplotlib's axes, on which you can draw routes.
 
 ```python
 import shapely
@@ -82,16 +84,16 @@ ax = plr_jax.plot.plot_workspace(workspace, unit="m")
 ax.plot(*routes[0].T)
 ```
 
-Agents with a radius follow a field of the inset area, `area.buffer(-radius, join_style="mitre")`. Other agents may
-push them nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with JuPedSim,
-which refuses targets on walls.
+For agents with a radius, build the field for the shrunk area `area.buffer(-radius, join_style="mitre")`. Agents may
+push one another nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with
+JuPedSim, which refuses targets on walls.
 
 # Gradient
 
 The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other
 leaves. Shortest paths touch corners, so steps along the raw gradient may end in walls at corners. Use `descend`,
-or build cones for `workspace.inflate(radius, outside=True)`: it has more corners, so give the file more bytes until
-`max_error` is small. `oracle.directions(x)` returns exact directions.
+or build cones for `workspace.inflate(radius, outside=True)`. The inflated workspace has more corners, so raise
+`max_bytes` until `max_error` is small. `oracle.directions(x)` returns exact directions.
 
 ```python
 toward_goal = -jax.vmap(jax.grad(cones))(starts)

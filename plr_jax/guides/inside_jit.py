@@ -1,11 +1,11 @@
-"""Guide: compute distances inside `jit`, also on maps that are drawn inside `jit`.
+"""Guide: compute distances inside `jit`, also on maps that are created inside `jit`.
 
 Choose by what is known before `jit` compiles:
 
 - The map and the goal are fixed: build a `plr_jax.PLR` beforehand, and call it inside `jit`.
-- The map is fixed and the goal is drawn inside `jit`: build pairs with `plr_jax.construct_pairs` beforehand. In
-  `reset` of the environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
-- The map is drawn inside `jit`: call `grid_distance`, or `polygon_distance` (see `plr_jax.guides.gradients`).
+- The map is fixed and the goal is chosen inside `jit`: build pairs with `plr_jax.construct_pairs` beforehand. In
+  `reset` of a learning environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
+- The map is created inside `jit`: call `grid_distance`, or `polygon_distance` (see `plr_jax.guides.gradients`).
 
 A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as
 arguments.
@@ -69,8 +69,8 @@ print(between(jnp.array([1.5, 1.5]), jnp.array([[1.5, 1.5], [1.5, 9.5]])))
 Any-angle paths bend at corners of blocked cells. Time and memory grow with the square of `max_corners`, the largest
 number of corners of a map; without a goal, time grows with the cube. The default allows all corners of up to 17 x 17
 cells, and half of the corners of larger grids. With a smaller number, mazes become several times faster. If a map has
-more corners, its distances are NaN and `field.is_complete` is false. So double a small number until a sample of your
-maps is complete:
+more corners, its distances are NaN and `field.is_complete` is false. So begin with a small number, and double it
+until `is_complete` is true for all maps of a sample:
 
 ```python
 maps = jax.random.bernoulli(jax.random.key(1), 0.9, (1000, 11, 11))
@@ -86,12 +86,12 @@ print(max_corners)
 
 In `reset`, compute the field and store it in the environment's state. If the agent stands on cell centers, store
 `field.cells` instead, and index `cells[row, column]`. With any-angle paths, a step is then much faster than with
-`field(x)`. If the agent moves between neighboring cells, use `moves=4` or `moves=8`: the distance is the number
-(length) of steps, and a reset on 11 x 11 cells takes 115 or 8.2 times less CPU time than with any-angle paths.
+`field(x)`. If the agent moves between neighboring cells, use `moves=4` or `moves=8`: the distance is then the total
+length of the steps. Compared with any-angle paths, a reset on 11 x 11 cells takes 115 or 8.2 times less CPU time.
 
 If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
-So draw a pool of states before, and let a reset pick one of them. If resets need new maps, compute a few new states
-in each step outside of `vmap`, and replace some of the pool.
+So create a pool of states beforehand, and let each reset pick a state from the pool. If resets need new maps, compute
+a few new states in each step, outside of `vmap`, and put them into the pool in place of old ones.
 
 ```python
 def reset(key):
@@ -115,7 +115,6 @@ state, keys = jax.tree.map(lambda leaf: leaf[:64], pool), jax.random.split(jax.r
 state, reward, is_done = jax.jit(jax.vmap(step))(state, jnp.zeros(64, int), keys)
 ```
 
-Let the motion rule forbid what the distance forbids: blocked cells, and steps between two blocked cells that share
-only a corner. Otherwise rewards are `inf` or NaN. `plr_jax.VisibilityGraph` and other oracles run on the host, not
-inside `jit`.
+The rule by which agents move must forbid the motions that the distance forbids: into blocked cells, and between two
+blocked cells that share only a corner. Otherwise rewards are `inf` or NaN. Oracles run on the host, not inside `jit`.
 """

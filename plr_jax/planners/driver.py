@@ -178,7 +178,8 @@ class Run:
     def shorten_sequential_path(self, factor: float = math.inf) -> bool:
         """Shorten the sequential path, on which robots move one after the other, if it is the best path so far.
 
-        The path is shortened only once. Return whether it is the best path and its cost is accepted.
+        The path is shortened only once. Return whether it is the best path and costs at most ``accepted_cost``. The
+        path is recorded with ``factor`` as its ``motions_factor`` (see :class:`Solution`).
         """
         if self.path is not None and self.found_by == _SEQUENTIAL and not self.is_sequential_short:
             self.is_sequential_short = True

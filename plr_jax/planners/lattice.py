@@ -272,8 +272,8 @@ class Kind:
     Nodes are the representatives of cells, then starts and goals.
 
     The table (``child`` and ``cost``) has a row per node and a column per primitive. Primitive 0 stays in place, and
-    a blocked one leads to its own node at infinite cost. All robots share the table, so no primitive in it leads to a
-    start or goal: ``terminals`` has these motions, and :meth:`motions` joins both for given robots.
+    a blocked primitive leads back to its node at infinite cost. All robots share the table, so none of its primitives
+    leads to a start or goal: ``terminals`` has such motions, and :meth:`motions` joins both for given robots.
 
     The edges ``i`` of the graph lead from node ``begin[i]`` to node ``end[i]`` and cost ``edge_cost[i]``::
 

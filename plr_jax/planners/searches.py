@@ -119,8 +119,8 @@ class Searches:
     def run(self, progress: Progress) -> Status | None:
         """Give each search a turn, longer at every call; ``progress`` counts expansions.
 
-        Return the status of a search that ended, or None if a search can go on. A search that is exhausted, but has
-        left out something, ends only itself. The other searches then continue.
+        Return the status of a search that ended, or None if a search can go on. If a search is exhausted, but has not
+        tried everything (``is_complete`` is False), only this search ends, and the other searches continue.
         """
         can_go_on = False
         for name in self.names:

@@ -261,7 +261,7 @@ def plot_error(
 
 
 def _require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Raise a ``ValueError`` unless a slice is one of the workspace, or of the space, and not both are given."""
+    """Raise a ``ValueError`` if a workspace or space does not fit the slice to be drawn, or if both are given."""
     if workspace is not None and shown.axes != (0, 1):
         raise ValueError(f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave it out.")
     if workspace is not None and space is not None:

@@ -49,7 +49,7 @@ class CostDistance:
             reached.
         nearest: Index of the nearest source. The index is -1 where no source can be reached; -1 is the no-data value
             if this is a ``DataArray``. Over large rasters (fast marching), cells to which two sources are about
-            equally near may have the index of the other one; where costs jump, it may be much farther.
+            equally near may have the index of the farther one. Where costs jump, that source may be much farther.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
             ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 1.5 to 3.5 % of the mean
             distance. The difference may be up to 100 % of the distance near sources, and if costs of neighbors differ

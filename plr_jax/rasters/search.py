@@ -35,12 +35,13 @@ from plr_jax._progress import Progress
 
 _LENGTH = 9.5  # most half cells of an edge, if cells are square: 88 edges at each corner and center
 _LENGTH_OVER_HEIGHTS = 6  # most half cells of an edge with heights: 72 edges at each node
-_BAND = 1.25  # ratio of the shapes of cells in a band, whose rows have the same edges
+# A *band* is a group of rows whose cells have about the same shape (width / height). Its rows have the same edges.
+_BAND = 1.25  # ratio of the largest to the smallest shape in a band
 _MOST_BANDS = 16  # cells that are more than about 1.25**16 times as long as wide have the same edges
 _JUMP = 1.25  # least factor between costs of neighbors beside which sides have nodes; 1.1 is hardly more exact
 UNITS = 6  # parts of the width and height of a cell, in which places of nodes are counted
 _HALF = UNITS // 2
-_NODES_AT_ONCE = 8192  # nodes whose edges are computed at a time, so that their arrays stay in the cache
+_NODES_AT_ONCE = 8192  # nodes whose edges are computed at a time, so that their arrays stay in the CPU's cache
 _SAME_DIRECTION = 1e-9  # largest difference of unit vectors along a straight path
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
@@ -79,7 +80,7 @@ class PathTree:
 
     next_node: Int[np.ndarray, " nodes"]  # of each node the next one of its path; negative without a path
     place: Int32[np.ndarray, "places 2"]  # row and column, in units, of each node that is no source
-    sources: Points  # the last nodes
+    sources: Points  # the sources, which are the nodes after those of ``place``: source k is node len(place) + k
     node_of: Int32[np.ndarray, "rows columns"]  # the node in the center of each cell; negative in barriers
     side: Sides  # of a cell
     period: float | None  # width of the raster if its last column meets the first one
@@ -174,7 +175,8 @@ def search(
         return number[end_y, end_x][begin + row * width + column]
 
     def values_around(table: np.ndarray, block: Int[np.ndarray, " n"]) -> AtOffset:
-        # The values of a table at an offset from the cells of a block.
+        # A function from an offset to the values of a table in the cells at this offset from the cells of a block. It
+        # stores its answers, since motions of several steps ask for the same offsets.
         return cache(lambda cell: table[block + cell[0] * width + cell[1]])
 
     # 4. Compute the edges of all nodes, sorted by node, then step, in blocks of nodes of one kind and one band. The

@@ -29,9 +29,10 @@ class SearchGrid:
 
     @classmethod
     def of(cls, box: Box, shape: tuple[int, int], in_degrees: bool, num_cells: int) -> "SearchGrid":
-        """Return the grid that divides cells into about square parts and, if these are few, into up to ``num_cells``.
+        """Divide the cells of a raster into parts that are about square and, if there are few, into smaller parts.
 
-        Cells in degrees are divided for the second reason only, since the search fits edges to the shape of cells.
+        The grid then has up to about ``num_cells`` parts. Cells in degrees are not made square, since the search fits
+        its edges to the shape of cells.
         """
         rows, columns = shape
         unit = EARTH_RADIUS * np.radians(1) if in_degrees else 1.0

@@ -80,7 +80,7 @@ def read_volume(path: StrPath) -> Bool[np.ndarray, "..."]:
       for free. No pickles.
     - ``.3dmap``: voxels of the Moving AI benchmarks (Brewer and Sturtevant, SoCS 2018). The first line is
       ``voxel nx ny nz``; each other line has the indices ``x y z`` of a blocked voxel. At most 32 MiB and 268,435,456
-      voxels; if above 16,777,216, at most 256 voxels per byte of the file.
+      voxels; with more than 16,777,216 voxels, at most 256 voxels per byte of the file.
 
     Meshes become voxels by trimesh: ``free = ~trimesh.load_mesh(path).voxelized(pitch).fill().matrix``. A file that
     has another ending, is damaged or too large, or has no free voxel raises ``ValueError``.

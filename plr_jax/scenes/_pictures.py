@@ -57,7 +57,8 @@ def read_image(
 
     Args:
         path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
-            most 16,777,216 pixels, or 12,582,912 in color; if above 4,194,304, at most 4,096 per byte of the file.
+            most 16,777,216 pixels, or 12,582,912 in color. A picture of more than 4,194,304 pixels may have at most
+            4,096 pixels per byte of its file.
         resolution: Side of a pixel, in workspace units.
         origin: Position of the outer corner of the lower left pixel.
         threshold: Lightness above which a pixel is free, from 0 to less than 1.
@@ -193,8 +194,8 @@ def read_map_server(
     - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
 
     ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel, about which the map is rotated
-    by ``yaw`` radians counterclockwise. Before, the lowest row has the smallest ``y``, as in :func:`read_image`. The
-    bounds of the workspace are the bounding box of the free pixels.
+    by ``yaw`` radians counterclockwise. Before this rotation, the lowest row has the smallest ``y``, as in
+    :func:`read_image`. The bounds of the workspace are the bounding box of the free pixels.
 
     The ``.yaml`` file's ``image`` is relative to its folder. Defaults are ``negate`` 0, ``occupied_thresh`` 0.65,
     ``free_thresh`` 0.196 and ``mode`` ``trinary``. ``unknown_is_free`` says whether unknown pixels are free or

@@ -163,9 +163,9 @@ class ClearanceSpace:
         return np.where(self.domain.periodic, q, np.clip(q, self.domain.lo, self.domain.hi))
 
     def _clearances(self, q: Configurations) -> Numbers:
-        """Return the clearances at configurations, clipped to the domain and wrapped along periodic axes.
+        """Return the clearances at configurations.
 
-        ``ValueError`` if a clearance is not finite.
+        Before, the configurations are clipped to the domain, and wrapped along periodic axes. ``ValueError`` if a clearance is not finite.
         """
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
