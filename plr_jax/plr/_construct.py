@@ -160,8 +160,8 @@ def construct(
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning. Most
         distance functions of this package know where free points cannot reach the goal. There, the PLR answers
         ``inf``, except closer than 1/64 of the domain's width to points that can reach the goal. If the limits are
-        too small for this, a warning states the share of the domain where the PLR wrongly answers a finite number.
-        Another warning tells if most of free space cannot reach the goal.
+        too small for this, a warning states an upper estimate of the share of the domain where the PLR wrongly
+        answers a finite number. Another warning tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -306,8 +306,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
-        message = f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads"
-        warnings.warn(f"{message} to the goal. Allow more bytes or leaves.", stacklevel=3)
+        message = f"In up to about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path"
+        warnings.warn(f"{message} leads to the goal. Allow more bytes or leaves.", stacklevel=3)
     if cut_off > 0.5:
         message = f"The goal cannot be reached from about {cut_off:.0%} of free space: is the goal in the right part?"
         warnings.warn(message, stacklevel=3)
