@@ -1,6 +1,5 @@
 """PLRs of whole buildings that are queried in NumPy, without JAX, and exported as C."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._files import file_path
+from plr_jax._files import StrPath, file_path
 from plr_jax._types import ArrayLike
 from plr_jax.buildings.floors import Floors, OnFloors
 from plr_jax.geometry.box import Box
@@ -75,7 +74,7 @@ class NumpyBuildingPLR(OnFloors):
         return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(marks, LO=lo, HI=hi, SHIFT=shift)
 
 
-def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:
+def load_numpy(path: StrPath) -> NumpyPLR | NumpyBuildingPLR:
     """Read a PLR, of a building or not, that :func:`save` wrote, without importing JAX.
 
     ``OSError`` if the file cannot be read. ``ValueError`` if this release cannot read the file as a PLR to fixed
