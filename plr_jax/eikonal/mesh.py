@@ -172,8 +172,7 @@ class Mesh:
                 0                       1
                 | other |  ...   | cell |         shift -1: the box at 1, in `cell`, is at 0 in `other`
         """
-        lo, hi = (self.fractions(cell, np.full(self.dim, end)) for end in (0.0, 1.0))
-        other_lo, other_hi = (self.fractions(other, np.full(self.dim, end)) for end in (0.0, 1.0))
+        (lo, hi), (other_lo, other_hi) = (self.cells[each].fractions for each in (cell, other))
         shift = np.where(other_lo > hi, 1.0, 0.0) - np.where(other_hi < lo, 1.0, 0.0)
         return np.maximum(lo, other_lo - shift), np.minimum(hi, other_hi - shift), shift
 
@@ -320,7 +319,7 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         # 1. Find edges and corners that flush and open cells share, as middles and half widths in fractions. They are
         #    the parts of the shared box that lie on two or more sides of the flush cell.
         flush, open_cell = mesh.flush_pairs
-        flush_lo, flush_hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
+        flush_lo, flush_hi = mesh.cells[flush].fractions
         lo, hi, _ = mesh.shared_boxes(flush, open_cell)
         x = lo[:, None] + (hi - lo)[:, None] * grid  # 1/2 in a row of `grid`: the edge extends along this axis
         half = np.where(grid == 0.5, (hi - lo)[:, None] / 2, 0.0)

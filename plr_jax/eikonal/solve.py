@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 from threadpoolctl import threadpool_limits
 
-from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
+from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, require_type, row_products
 from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike, Fractions, Reach
 from plr_jax.eikonal.bounds import CostToGoField
@@ -131,8 +131,7 @@ def solve_eikonal(
     """
     # 1. Check the arguments but the goals.
     require_space(space)
-    if cost_map is not None and not isinstance(cost_map, CostMap):
-        raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
+    require_type("cost_map", cost_map, CostMap | None, "a CostMap, such as RasterCost")
     require_integer("seed", seed, 0)
     for name, limit in (("max_leaves", max_leaves), ("max_bytes", max_bytes)):
         if limit is not None:

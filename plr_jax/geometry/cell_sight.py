@@ -285,6 +285,8 @@ class CellSources:
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
+    __getitem__ = of_cells
+
     def of_pieces(self, rows: Int[np.ndarray, " some"]) -> Self:
         """Return an object with only the pieces ``rows`` (indices), in this order.
 

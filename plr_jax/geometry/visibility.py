@@ -19,7 +19,7 @@ Cones of many viewpoints advance together. The tests are exact, since vertices a
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -244,8 +244,7 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
-@dataclass(frozen=True, eq=False)
-class VisibilityTable:
+class VisibilityTable(NamedTuple):
     """The visibility polygons of viewpoints, as intervals of directions in which one boundary edge is nearest.
 
     The intervals of viewpoint ``v``, counterclockwise from the *cut*, a direction in which it sees no vertex::

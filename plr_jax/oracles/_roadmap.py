@@ -5,7 +5,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,8 +19,7 @@ from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
 from plr_jax.geometry.workspace import Workspace, require_workspace
 
 
-@dataclass(frozen=True, eq=False)
-class Metric:
+class Metric(NamedTuple):
     """A metric of configurations: the Euclidean norm of their difference, with a weight for each axis.
 
     Along periodic axes, the difference goes the short way around.

@@ -32,7 +32,6 @@ _PAIRS = 2**12  # pairs of points that are answered together
 _Points = Float[np.ndarray, "n 2"]
 _Lengths = Float[np.ndarray, "n"]
 _Flags = Bool[np.ndarray, " n"]
-_Paths = Callable[..., tuple[Any, Any, Any]]  # see :func:`_shortest`
 
 
 def point_rounding(half: Any, middle: Any) -> Any:
@@ -353,7 +352,7 @@ def _in_blocks(
 
 
 def _shortest(
-    obstacles: MovedObstacles, p: _Points, q: _Points, paths: _Paths, has_arcs: bool = False
+    obstacles: MovedObstacles, p: _Points, q: _Points, paths: Callable[..., Any], has_arcs: bool = False
 ) -> tuple[_Lengths, _Points, _Points]:
     """Return the length, the first turn and the last turn of the shortest path from each ``p[i]`` to ``q[i]``.
 

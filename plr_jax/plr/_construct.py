@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, shortened
+from plr_jax._arrays import as_bool, as_distances, as_number, require_function, require_integer, require_type
 from plr_jax._progress import Progress
 from plr_jax._types import ArrayLike, CellSources, DistanceFn, NearestFn, Reach
 from plr_jax.geometry.box import Box
@@ -85,9 +85,7 @@ class BuildOptions:
             require_integer("num_samples", self.num_samples, 1)
             if self.num_samples > _MAX_SAMPLES:
                 raise ValueError(f"num_samples must be at most {_MAX_SAMPLES:,} a cell, got {self.num_samples:,}.")
-        if self.executor is not None and not isinstance(self.executor, Executor):
-            message = f"executor must be a concurrent.futures.Executor or None, got {shortened(self.executor)}."
-            raise ValueError(message)
+        require_type("executor", self.executor, Executor | None, "a concurrent.futures.Executor or None")
 
 
 DEFAULT_OPTIONS = BuildOptions()
@@ -177,8 +175,7 @@ def construct(
     domain = Box.of(domain, "domain, such as workspace.bounds,")
     proof = proof_of(certified)
     require_function("distance_fn", distance_fn)
-    if not isinstance(options, BuildOptions):
-        raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
+    require_type("options", options, BuildOptions, "BuildOptions(...)")
     limits = GivenLimits(max_depth, max_leaves, max_bytes, tolerance)
     reach = sampling.reach_of(distance_fn, domain)
 
@@ -275,8 +272,7 @@ def _build_leaves(
 def proof_of(certified: bool | str) -> Proof:
     if isinstance(certified, str) and certified == "leaves":
         return Proof.LEAVES
-    if not isinstance(certified, bool | np.bool):
-        raise ValueError(f"certified must be True, False or 'leaves', got {shortened(certified)}.")
+    require_type("certified", certified, bool | np.bool, "True, False or 'leaves'")
     return Proof.CLASSES if certified else Proof.NONE
 
 
@@ -419,8 +415,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     """
     from plr_jax.plr._plr import PLR, plr_of_leaves  # imports JAX
 
-    if not isinstance(plr, PLR):
-        raise ValueError(f"plr must be a PLR, got {shortened(plr)}. Build one with construct.")
+    require_type("plr", plr, PLR, "a PLR", " Build one with construct.")
     if plr.tables.folding is not None:
         message = "plr must not be folded by symmetries of its distance function, got a folded PLR"
         raise ValueError(f"{message}. Build it with certified=True.")

@@ -182,14 +182,13 @@ _ATTEMPTS = 12  # most prices to try between a tree that fits and a tree that is
 _AIM = 0.9985  # share of the limits that such a price aims at
 _FULL = 0.997  # the search stops at a tree that fills this share of the limits
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
-Leaves: TypeAlias = list[Int[np.ndarray, " _"]]  # for each level, the indices of the boxes that are leaves of a tree
 
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
     """The tree with the least sum of its leaves' costs and a ``price`` per leaf, stored level by level."""
 
-    leaves: Leaves  # as indices into the levels' boxes
+    leaves: list[Int[np.ndarray, " _"]]  # indices of each level's boxes that are leaves
     axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
     order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float

@@ -14,9 +14,8 @@ value never depends on itself::
 """
 
 import math
-from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -49,8 +48,7 @@ _BASIS_1D = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class NodalSpace:
+class NodalSpace(NamedTuple):
     """The functions on the leaves of a tree that are continuous across certain (*tied*) faces between leaves.
 
     Functions may jump at other faces. The values at certain groups of nodes, the degrees of freedom, determine a

@@ -45,8 +45,7 @@ class ConstructionInterrupted(UserWarning):
     """A warning that an interrupt (Ctrl-C) ended a construction early; the result is what was built so far."""
 
 
-@dataclass(frozen=True, eq=False)
-class Limits:
+class Limits(NamedTuple):
     """The limits of a construction, which ends at the first limit that it reaches."""
 
     max_depth: int

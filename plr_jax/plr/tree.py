@@ -15,9 +15,10 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 
 
 class Rows:
-    """A base class of dataclasses whose arrays have one row for each item.
+    """A base class of dataclasses whose columns have one row for each item.
 
-    Indexing selects the same rows of all arrays.
+    Columns are the arrays, and objects with a method ``append``, such as other ``Rows`` or the sources of cells.
+    Indexing selects the same rows of all columns.
     """
 
     def __len__(self) -> int:
@@ -27,16 +28,16 @@ class Rows:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
 
     def append(self, *others: Self) -> Self:
-        """Concatenate the arrays of this object and of ``others``; keep the other attributes of this object."""
+        """Concatenate the columns of this object and of ``others``; keep the other attributes of this object."""
         columns = {}
         for name, column in self._columns().items():
             parts = [getattr(other, name) for other in others]
-            columns[name] = column.append(*parts) if isinstance(column, Rows) else np.concatenate([column, *parts])
+            columns[name] = column.append(*parts) if hasattr(column, "append") else np.concatenate([column, *parts])
         return cast(Any, replace)(self, **columns)
 
     def _columns(self) -> dict[str, Any]:
-        values = {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
-        return {name: column for name, column in values.items() if isinstance(column, np.ndarray | Rows)}
+        rows = {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
+        return {name: each for name, each in rows.items() if isinstance(each, np.ndarray) or hasattr(each, "append")}
 
 
 @dataclass(frozen=True, eq=False)

@@ -245,9 +245,8 @@ def _box_on_sphere(costs: Any, box: Box, shape: tuple[int, int], degrees: bool |
     if not as_bool("degrees", degrees):
         return box, False
     if not is_data_array(costs):
-        raise ValueError(
-            "degrees=True needs a DataArray, whose coordinates are longitude and latitude, got an array."
-        )
+        needed = "a DataArray, whose coordinates are longitude and latitude"
+        raise ValueError(f"degrees=True needs {needed}, got an array.")
     tolerance = _TOLERANCE * box.width / shape[::-1]
     if box.width[0] > 360 + tolerance[0]:
         raise ValueError(f"Longitudes must span at most 360 degrees, got {box.width[0]:g}: leave out columns.")

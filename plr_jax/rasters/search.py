@@ -17,7 +17,6 @@ Reference: Mitchell and Papadimitriou, "The weighted region problem", 1991.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from itertools import pairwise, product
@@ -71,8 +70,7 @@ class Relief(NamedTuple):
     slope_fn: Slope
 
 
-@dataclass(frozen=True, eq=False)
-class PathTree:
+class PathTree(NamedTuple):
     """Shortest paths from the centers of a raster's cells to the nearest source.
 
     Coordinates are relative to the raster's lower left corner.

@@ -1,6 +1,6 @@
 """The grid in which paths over a raster are searched: parts of the raster's cells, of equal width and height."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,7 @@ EARTH_RADIUS = 6_371_008.8  # mean radius, in meters
 Parts = Float[np.ndarray, "part_rows part_columns"]
 
 
-@dataclass(frozen=True, eq=False)
-class SearchGrid:
+class SearchGrid(NamedTuple):
     """A grid of parts of a raster's cells. Rows ascend.
 
     The *plane* of the grid has the raster's lower corner at 0, and the raster's unit of length or, for a raster in

@@ -8,7 +8,7 @@ cells are halved. So the file has a bit width for each of these coefficients and
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,8 +34,7 @@ _FLOAT_INF = 0x7F800000  # bits of the 32-bit float inf
 _WIDTH_BITS = 6  # bits in which the file states a number of bits, of center values or of other coefficients
 
 
-@dataclass(frozen=True, eq=False)
-class StoredCoefficients:
+class StoredCoefficients(NamedTuple):
     """The coefficients of all leaves, with the integers of a file.
 
     The coefficients of a leaf are ``offset + step * center``, the value at its center, and ``step * others``. If

@@ -42,32 +42,28 @@ class Expression:
         """Return the text, in parentheses if the precedence of its outermost operator is lower than ``level``."""
         return self.text if self.level >= level else f"({self.text})"
 
-    def _joined(self, symbol: str, left: "Expression", right: "Expression", level: int) -> "Expression":
-        # `left symbol right`, rounded to 32 bits if the language does not do this.
+    def _joined(self, symbol: str, level: int, other: Any, swaps: bool = False) -> "Expression":
+        # `self symbol other`, or with swapped sides, rounded to 32 bits if the language does not do this.
+        other = self.language.constant(other)
+        left, right = (other, self) if swaps else (self, other)
         of_type = "double" if "double" in (left.type, right.type) else "float"
         # Operators of equal precedence associate to the left.
         text = f"{left.at_least(level)} {symbol} {right.at_least(level + 1)}"
         value = Expression(text, level, of_type, self.language)
         return value if self.language.is_rounded or of_type == "double" else self.language.rounded(value)
 
-    def __add__(self, other: Any) -> "Expression":
-        return self._joined("+", self, self.language.constant(other), _SUM)
-
-    def __radd__(self, other: Any) -> "Expression":
-        return self._joined("+", self.language.constant(other), self, _SUM)
+    __add__, __radd__ = partialmethod(_joined, "+", _SUM), partialmethod(_joined, "+", _SUM, swaps=True)
+    __rmul__ = partialmethod(_joined, "*", _PRODUCT, swaps=True)
 
     def __sub__(self, other: Any) -> "Expression":
         if not isinstance(other, Expression) and other <= 0:
             return self + -other if other else self
-        return self._joined("-", self, self.language.constant(other), _SUM)
+        return self._joined("-", _SUM, other)
 
     def __mul__(self, other: Any) -> "Expression":
         if not isinstance(other, Expression) and other == 1:
             return self
-        return self._joined("*", self, self.language.constant(other), _PRODUCT)
-
-    def __rmul__(self, other: Any) -> "Expression":
-        return self._joined("*", self.language.constant(other), self, _PRODUCT)
+        return self._joined("*", _PRODUCT, other)
 
     def __neg__(self) -> "Expression":
         return Expression(f"-{self.at_least(_ATOM)}", _PRODUCT, self.type, self.language)

@@ -151,8 +151,7 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
     return GoalSamples(np.column_stack(columns), source.astype(np.int32), oracle.sources)
 
 
-@dataclass(frozen=True, eq=False)
-class BoxFits:
+class BoxFits(NamedTuple):
     """The cone ``distance of source + |x - source|`` fitted to each box of a lattice, and its errors at samples.
 
     The error at a sample is the absolute difference between the cone and the sample's distance to the goal.

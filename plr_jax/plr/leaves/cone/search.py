@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -47,12 +47,7 @@ class ConeBoxes(Rows):
     integral: Float[np.ndarray, " boxes"]  # proven bound of the error's integral, as a share of the domain's area
     by_side: bool = False  # whether ``peak`` weights largest errors by the sides of boxes
     reach: Reach | None = None  # if known, and some free points cannot reach the goal
-
-    def __getitem__(self, index: Int[np.ndarray, " selected"]) -> Self:
-        return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
-
-    def append(self, *others: Self) -> Self:
-        return replace(super().append(*others), visible=self.visible.append(*(other.visible for other in others)))
+    most: int = _MOST_TRIED  # sources that a half tries
 
     @property
     def peak(self) -> Float[np.ndarray, " boxes"]:
@@ -68,7 +63,8 @@ class ConeBoxes(Rows):
         """Return halves of boxes: half ``i`` is the lower or upper half of box ``parent[i]`` along ``axis[i]``."""
         cells = self.cells[parent].halves(axis, is_upper)
         visible = self.visible.parts(parent, axis, is_upper, *cells.grown_boxes(self.domain))
-        return replace(fit_boxes(self.domain, self.negligible, cells, visible, self.reach), by_side=self.by_side)
+        boxes = fit_boxes(self.domain, self.negligible, cells, visible, self.reach, self.most)
+        return replace(boxes, by_side=self.by_side)
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
@@ -118,7 +114,7 @@ def fit_boxes(
         is_border, distances = reach.is_border(*cells.fractions), visible.sources.distances
         largest_distance = distances[np.isfinite(distances)].max() + float(np.linalg.norm(domain.width))
         integral[is_border] += largest_distance * np.ldexp(1.0, -cells.depth[is_border].sum(axis=1))
-    return ConeBoxes(domain, negligible, cells, visible, best, error, integral, reach=reach)
+    return ConeBoxes(domain, negligible, cells, visible, best, error, integral, reach=reach, most=most)
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:

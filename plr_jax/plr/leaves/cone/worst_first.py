@@ -12,7 +12,7 @@ depend on the other goals.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -147,8 +147,7 @@ class _Search:
         return fits
 
 
-@dataclass(frozen=True)
-class WorstFirst:
+class WorstFirst(NamedTuple):
     """A function that builds trees of cone leaves with small proven errors, for several goals of one workspace."""
 
     domain: Box
@@ -184,15 +183,13 @@ class WorstFirst:
         negligible = np.array(list(map(query_resolution, distances)))
         num_sources = np.int64(len(oracles[0].sources.points))
 
-        def fit(cells: Cells, visible: CellSources) -> ConeBoxes:
-            return fit_boxes(self.domain, 0.0, cells, visible, None, _MOST_TRIED)
-
         def nodes_of(boxes: ConeBoxes, goal: Any, parent: Any, path: Any, parent_key: Any) -> _Nodes:
             key = np.where(boxes.error > negligible[goal], np.minimum(boxes.error, parent_key), 0.0)
             source = np.where(boxes.source < 0, -1, boxes.source - goal * num_sources)
             return _Nodes(goal, parent, boxes.cells.depth.sum(axis=1), path, key, np.full(len(goal), -1), source)
 
-        rounds = [fit(cells[box], visible)]  # the boxes of all nodes, in the order of the nodes
+        # The boxes of all nodes, in the order of the nodes.
+        rounds = [fit_boxes(self.domain, 0.0, cells[box], visible, None, _MOST_TRIED)]
         nodes = nodes_of(rounds[0], goal, 0 * box - 1, box << (MAX_DEPTH + 1 - len(axes)), np.inf)
         largest_error = nodes.key.reshape(len(oracles), -1).max(axis=1)
         searches = {}
@@ -213,9 +210,7 @@ class WorstFirst:
                     nodes.key[batch[axis < 0]] = 0.0
                     row = np.repeat(np.flatnonzero(axis >= 0), 2)  # in the batch, of each half's parent
                     parent, is_upper = batch[row], np.arange(len(row)) % 2 == 1
-                    cells = boxes.cells[row].halves(axis[row], is_upper)
-                    lo, hi = cells.grown_boxes(self.domain)
-                    rounds.append(fit(cells, boxes.visible.parts(row, axis[row], is_upper, lo, hi)))
+                    rounds.append(boxes.halves(row, axis[row], is_upper))
                     path = nodes.path[parent] + (is_upper.astype(np.int64) << (MAX_DEPTH - nodes.level[parent]))
                     nodes = nodes.append(nodes_of(rounds[-1], nodes.goal[parent], parent, path, nodes.key[parent]))
             # 3. Compare the trees with the limits: lower the threshold of a goal, or end its search.
