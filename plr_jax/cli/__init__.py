@@ -5,10 +5,7 @@ import signal
 import sys
 import threading
 from types import FrameType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import typer
+from typing import Any
 
 INTERRUPTED_EXIT, BROKEN_PIPE_EXIT, TERMINATED_EXIT = 130, 141, 143
 _SOON = 0.01  # seconds; callbacks of the garbage collector end within this time
@@ -56,7 +53,7 @@ def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
         threading.Timer(_SOON, os.kill, (os.getpid(), number)).start()
 
 
-def load_app() -> "typer.Typer":
+def load_app() -> Any:
     from plr_jax.cli import build, files, plan  # noqa: F401
     from plr_jax.cli.app import app
 

@@ -1,7 +1,6 @@
 """Read maps that are stored as pictures, alone or with the YAML file of ROS's ``map_server``; light means free."""
 
 import errno
-import math
 import os
 import warnings
 from collections.abc import Iterator
@@ -313,4 +312,4 @@ def _occupancy(image: Path, mode: str, is_negated: bool) -> Float[np.ndarray, "r
 
 
 def _number(name: str, value: object) -> float:
-    return as_number(name, value, "a finite number", math.isfinite)
+    return as_number(name, value, "a finite number", np.isfinite)

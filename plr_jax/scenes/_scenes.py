@@ -78,6 +78,7 @@ def load(path: StrPath) -> Problem:
             raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')
         robots = [_read_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = scene.get("rotation_weight") if scene["version"] > 1 else None
+        weight = None if weight is None else as_finite("rotation_weight", weight)
         return Problem(read_workspace_entry(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 

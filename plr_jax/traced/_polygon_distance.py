@@ -143,8 +143,7 @@ def polygons_of_discs(centers: ArrayLike, radii: ArrayLike, corners: int = 16) -
         raise ValueError(f"centers must be (m, 2), radii a number or (m,), got {centers.shape} and {radii.shape}.")
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
     around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(np.pi / corners)
-    radii = jnp.broadcast_to(radii, len(centers))
-    return centers[:, None] + radii[:, None, None] * jnp.asarray(around, centers.dtype)[None]
+    return centers[:, None] + radii.reshape(-1, 1, 1) * jnp.asarray(around, centers.dtype)[None]
 
 
 @jax.jit
