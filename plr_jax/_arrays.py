@@ -414,8 +414,7 @@ def as_list(name: str, value: object, expected: str, fits: Callable[[Any], bool]
 
 
 def require_function(name: str, value: object) -> None:
-    if not callable(value):
-        raise ValueError(f"{name} must be a function, got {shortened(value)}.")
+    require_type(name, value, Callable, "a function")
 
 
 def shortened(value: object) -> str:

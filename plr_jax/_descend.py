@@ -126,8 +126,7 @@ def descend(
         if not isinstance(space, ConfigurationSpace):
             expected = "classify and are_free to prove motions free"
             raise ValueError(f"space must have {expected}, got {_arrays.shortened(space)}.")
-        if cost_map is not None and not isinstance(cost_map, CostMap):
-            raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {_arrays.shortened(cost_map)}.")
+        _arrays.require_type("cost_map", cost_map, CostMap | None, "a CostMap, such as RasterCost")
         chains = by_lookahead(distance_fn, PathCosts(space, cost_map), starts, goal)
     vertices, counts, lengths, costs, is_free = chains
     reached = counts > 0

@@ -80,7 +80,19 @@ def yaml_of(path: Path) -> Any:
     text = text_of(path)
     loader = _loader()
     try:
-        _require_plain(yaml.parse(text, loader))  # events: no value is made yet
+        # 1. Refuse deep nesting, aliases, tags and long unquoted words, for which a parser could need too much memory
+        #    or time. Events come from `parse` before any value is made.
+        nested = 0
+        for event in yaml.parse(text, loader):
+            nested += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            _require_shallow(nested)
+            if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
+                line = event.start_mark.line + 1
+                raise ValueError(f"neither aliases nor tags are read, got one in line {line}: write the value")
+            if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and len(event.value) > _LONGEST_WORD:
+                got = len(event.value)
+                raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {got}")
+        # 2. Decode.
         value = yaml.load(text, loader)
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"expected YAML ({error}).") from None
@@ -121,24 +133,6 @@ def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) 
 
 def format_name(kind: str) -> str:
     return f"plr_jax {kind}"
-
-
-def _require_plain(events: Iterator[Any]) -> None:
-    """Raise a ``ValueError`` for YAML with deep nesting, aliases, tags or long unquoted words.
-
-    A parser could need too much memory or time for such a document. ``events`` is the result of ``yaml.parse``.
-    """
-    import yaml
-
-    nested = 0
-    for event in events:
-        nested += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        _require_shallow(nested)
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
-            line = event.start_mark.line + 1
-            raise ValueError(f"neither aliases nor tags are read, got one in line {line}: write the value")
-        if isinstance(event, yaml.ScalarEvent) and event.implicit[0] and len(event.value) > _LONGEST_WORD:
-            raise ValueError(f"expected at most {_LONGEST_WORD} characters without quotes, got {len(event.value)}")
 
 
 def _require_limits(value: Any) -> None:

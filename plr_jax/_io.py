@@ -1,10 +1,9 @@
 """The public functions :func:`save` and :func:`load` for files of PLRs and of distances between any two points."""
 
-import os
 from typing import Any
 
 from plr_jax._arrays import shortened
-from plr_jax._files import file_path, write_atomically
+from plr_jax._files import StrPath, file_path, write_atomically
 from plr_jax.buildings.building_plr import BuildingPLR
 from plr_jax.buildings.floors import Floors
 from plr_jax.pairs.building_pairs import BuildingPairs
@@ -14,7 +13,7 @@ from plr_jax.plr._plr import PLR, from_bytes
 from plr_jax.plr.container import BUILDING_MAGIC, GRID_MAGIC, holds_pairs, read_bytes
 
 
-def save(plr: PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs, path: str | os.PathLike) -> None:
+def save(plr: PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs, path: StrPath) -> None:
     """Write a PLR, a BuildingPLR, a PairPLR, BuildingPairs or GridPairs to a file, completely or not at all.
 
     The file has ``plr.num_bytes`` bytes. To save a ``MetricPairs``, pass its attribute ``plr``. The files
@@ -27,7 +26,7 @@ def save(plr: PLR | BuildingPLR | PairPLR | BuildingPairs | GridPairs, path: str
     write_atomically(file_path(path), plr.to_bytes())
 
 
-def load(path: str | os.PathLike) -> Any:
+def load(path: StrPath) -> Any:
     """Read a PLR, a BuildingPLR, a PairPLR, BuildingPairs or GridPairs that :func:`save` wrote.
 
     The loaded object gives the same answers as the saved object, bit for bit.

@@ -8,7 +8,6 @@ shifted to where the two adjacent segments cost least.
 """
 
 import heapq
-import math
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
@@ -91,7 +90,7 @@ def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
         else:
             directions = np.eye(dim)
             if dim > 2:
-                num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
+                num = padded_size(_PER_AXIS * dim // 2)
                 directions = np.concatenate([directions, ndtri(lattice(num, np.full(dim, 0.5 / num)))])
                 directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
             directions = np.concatenate([directions, -directions])

@@ -1,6 +1,5 @@
 """Planning problems (robots in a workspace, each with a start and a goal) and the cost of paths."""
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -92,9 +91,9 @@ def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
     """Group robots by shape and rotation weight; return the indices of the robots with each such pair."""
-    kinds = defaultdict(list)
+    kinds = {}
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
-        kinds[kind].append(i)
+        kinds.setdefault(kind, []).append(i)
     return kinds
 
 
@@ -141,9 +140,7 @@ def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, " steps"]:
 
 
 def require_problem(problem: object, path: object = None) -> None:
-    if not isinstance(problem, Problem):
-        expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
-        raise ValueError(f"{expected}, got {shortened(problem)}.")
+    require_type("problem", problem, Problem, "a Problem, such as Problem(workspace, robots, starts, goals)")
     if hasattr(path, "path"):
         raise ValueError(f"A path must be an array (steps, robots, dof), got {shortened(path)}. Pass its .path.")
 

@@ -2,13 +2,14 @@
 
 import sys
 import threading
+from contextlib import AbstractContextManager
 from typing import Any
 
 _DELAY = 2.0  # seconds until a bar appears
 _COLUMNS = 80  # width of a bar in a notebook, in characters
 
 
-class Progress:
+class Progress(AbstractContextManager["Progress"]):
     """A count of finished work, shown as a bar while a ``with`` block of the main thread takes over two seconds.
 
     The bar appears on a terminal, or in the output of a notebook's cell, and vanishes at the end of the block. Pipes,
@@ -25,9 +26,6 @@ class Progress:
             of_file: Any = {} if file is sys.stderr else {"ncols": _COLUMNS, "position": 0, "ascii": False}
             options = {"total": total, "unit": f" {unit}", "delay": _DELAY, "leave": False, "miniters": 1}
             self._bar = tqdm(desc=name, file=file, **options, **of_file)
-
-    def __enter__(self) -> "Progress":
-        return self
 
     def __exit__(self, *_: object) -> None:
         if self._bar is not None:

@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import is_single
 from plr_jax._problem import JointPath, Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
+from plr_jax.geometry.vectors import distance_to_segment
 from plr_jax.geometry.workspace import Workspace, part_groups
 from plr_jax.robots import Robot, between, footprint, placed, shorter_turn
 
@@ -255,13 +256,10 @@ def _least_clearances(robots: Sequence[Robot], path: JointPath) -> list[tuple[fl
     radius = np.array([robot.circumscribed_radius for robot in robots])
     clearances = []
     for j in range(1, len(robots)):
-        # The offset of the reference points moves straight from `begin` by `change`: find its point nearest to 0.
-        offset = path[:, :j, :2] - path[:, j, None, :2]
-        begin, change = offset[:-1], np.diff(offset, axis=0)
-        squared = (change**2).sum(axis=2)
-        t = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-        squared = ((begin + t[..., None] * change) ** 2).sum(axis=2)
-        least = np.sqrt(squared.min(axis=0)) - radius[:j] - radius[j]
+        # The offset of the reference points moves along a segment: find its point nearest to 0.
+        x, y = np.moveaxis(path[:, :j, :2] - path[:, j, None, :2], 2, 0)
+        distances = distance_to_segment(x[:-1], y[:-1], np.diff(x, axis=0), np.diff(y, axis=0))
+        least = distances.min(axis=0) - radius[:j] - radius[j]
         clearances += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
     return sorted(clearances)
 

@@ -10,11 +10,11 @@ import shapely
 from jaxtyping import Int
 
 from plr_jax import _arrays
-from plr_jax._arrays import require_type, shortened
+from plr_jax._arrays import as_offsets, require_type, shortened
 from plr_jax._types import ArrayLike, Distances
 from plr_jax.buildings.floors import Floors, Link, Place, Route, as_place
 from plr_jax.geometry.corners import CornerVisibility, with_places
-from plr_jax.geometry.graph import Arcs
+from plr_jax.geometry.graph import Arcs, path_ends
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._several_goals import NearestGoal
 from plr_jax.oracles._visibility_graph import NearestPaths, VisibilityGraph
@@ -111,15 +111,16 @@ class Building(_arrays.PickledWithoutCaches):
 
     def _place_in_plane(self, place: Place) -> np.ndarray:
         """Return a free place as a point of ``plane``, moved into the bounds if it is outside by rounding."""
-        floor, point = place
-        bounds = self.floors[floor].bounds
-        return self.in_plane(floor, np.clip(point, bounds.lo, bounds.hi))
+        (floor, point), floors = place, self.plane_floors
+        return self.in_plane(floor, np.clip(point, floors.lo[floor], floors.hi[floor]))
 
-    def oracle(self, floor: Any, goal: ArrayLike | None = None) -> "BuildingOracle":
+    def oracle(self, floor: Any, goal: ArrayLike | None = None, offsets: ArrayLike | None = None) -> "BuildingOracle":
         """Return the function of exact distances to a goal ``(x, y)`` on a floor, over floors and links.
 
-        For the nearest of several goals, pass a list of pairs: ``building.oracle([(0, (1, 2)), (3, (4, 5))])``. All
-        oracles of a building share its preprocessing. ``ValueError`` if a goal is not in free space.
+        For the nearest of several goals, pass a list of pairs: ``building.oracle([(0, (1, 2)), (3, (4, 5))])``.
+        ``offsets`` are the costs of using each goal, such as queues at exits, finite and at least 0. Distances
+        include the offsets, lengths of routes do not. All oracles of a building share its preprocessing.
+        ``ValueError`` if a goal is not in free space, or for other ``offsets``.
         """
         pairs = [(floor, goal)] if goal is not None else floor
         if not isinstance(pairs, Sequence) or not pairs:
@@ -128,8 +129,8 @@ class Building(_arrays.PickledWithoutCaches):
         goals = tuple(as_place(f"Goal {i}", pair) for i, pair in enumerate(pairs))
         for i, place in enumerate(goals):
             self._require_free(f"Goal {i}", place)
-        points = np.stack([self._place_in_plane(place) for place in goals])
-        return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, np.zeros(len(goals))))
+        points, costs = np.stack([self._place_in_plane(place) for place in goals]), as_offsets(offsets, len(goals))
+        return BuildingOracle(self, goals, NearestPaths.of(self.plane, self.corners, points, costs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +157,25 @@ class BuildingOracle:
     def __call__(self, floor: ArrayLike, x: ArrayLike) -> Distances:
         """Return the distance from points ``x`` ``(n, 2)`` of floors, an index or ``(n,)``, to the nearest goal.
 
-        Distances ``(n,)`` are lengths plus the costs of links, in the units of the floors; ``inf`` without a path, in
-        obstacles, and outside the floor's bounds. ``ValueError`` for another shape or an unknown floor.
+        Distances ``(n,)`` are lengths plus the costs of links and the goal's offset, in the units of the floors;
+        ``inf`` without a path, in obstacles, and outside the floor's bounds. ``ValueError`` for another shape or an
+        unknown floor.
         """
         return self.paths(self.building.in_plane(floor, x))
 
     def which(self, floor: ArrayLike, x: ArrayLike) -> Int[np.ndarray, " n"]:
-        """Return the index of the next link on each shortest path: -1 to walk to the goal, -2 without a path."""
+        """Return the index of the link that each shortest path takes first, ``(n,)``.
+
+        It is -1 if the path takes no link, whichever the goal (see :meth:`nearest_goal`), and -2 without a path.
+        """
         return self.floors.next_links(self.paths.which(self.building.in_plane(floor, x)))
+
+    def nearest_goal(self, floor: ArrayLike, x: ArrayLike) -> Int[np.ndarray, " n"]:
+        """Return the index in ``goals`` of the goal where each shortest path ends, ``(n,)``; -1 without a path."""
+        source, _ = self.paths.first_turns(self.building.in_plane(floor, x))
+        # Roots are their own parents, and paths go on from there at their exits.
+        ends = path_ends(np.asarray(self.paths.sources.exits)[self.paths.sources.parents])
+        return np.where(source < 0, -1, self.paths.root_numbers[ends[source]])
 
     def shortest_path(self, floor: int, x: ArrayLike) -> Route:
         """Return the shortest path from a point ``(2,)`` of a floor to the nearest goal, where its last leg ends."""
@@ -193,15 +205,19 @@ class BuildingOracle:
         graph: Any = VisibilityGraph(building.floors[floor], first)
         return NearestGoal([graph, *map(graph.with_goal, others)], sources.distances[root])
 
-    def construct(self, leaf: Any = "cone", **options: Any) -> "BuildingPLR":
-        """Build one PLR of all floors; ``leaf`` and ``options``, such as ``max_bytes``, are those of ``construct``.
+    def construct(self, leaf: Any = "cone", *, max_bytes: Any = None, **options: Any) -> "BuildingPLR":
+        """Build one PLR of all floors; ``leaf``, ``max_bytes`` and ``options`` are those of :func:`construct`.
 
         For bounds, pass ``certified=True``. All floors share one budget of bytes or leaves, which goes to the largest
         errors. ``max_bytes`` limits the whole file, with its floors and links. Raises what :func:`construct` raises.
         """
         from plr_jax.buildings.building_plr import BuildingPLR  # imports JAX
-        from plr_jax.plr import construct
+        from plr_jax.plr import construct, growth
 
-        if isinstance(max_bytes := options.get("max_bytes"), int):
-            options["max_bytes"] = max(1, max_bytes - len(self.floors.to_bytes()))
-        return BuildingPLR(self.floors, construct(self.paths, self.building.plane.bounds, leaf=leaf, **options))
+        other_bytes = len(self.floors.to_bytes())
+        rest = max(1, max_bytes - other_bytes) if isinstance(max_bytes, int) else max_bytes
+        try:
+            plane = construct(self.paths, self.building.plane.bounds, leaf=leaf, max_bytes=rest, **options)
+        except growth.BudgetTooSmall as error:
+            raise growth.BudgetTooSmall(float(max_bytes), error.num_bytes + other_bytes) from None
+        return BuildingPLR(self.floors, plane)

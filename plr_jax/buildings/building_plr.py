@@ -43,8 +43,7 @@ class BuildingPLR(NumpyBuildingPLR):
         given: Any = floors if building is None else getattr(building, "plane_floors", None)
         if given is None or not np.array_equal((given.lo, given.hi), (floors.lo, floors.hi)):
             raise ValueError(f"building must be the Building of this PLR, or None, got {shortened(building)}.")
-        plane = None if building is None else building.plane
-        traces, first = trace_by_sources(self.plane, floors.in_plane(floor, starts), plane)
+        traces, first = trace_by_sources(self.plane, floors.in_plane(floor, starts), building and building.plane)
         first = np.where(traces.arrived, first, -1)
         # Number the roots, and find where their links lead: to the sources nearest to the links' ends, of several
         # to the one nearest to the goal.

@@ -69,7 +69,8 @@ class Route:
         legs: Pairs ``(floor, points)``: a path on one floor, ``(m, 2)``. The legs before and after a link end and
             start at the link's ends. Without a path there is no leg.
         links: Indices of the links between the legs, in order.
-        length: Length of all legs plus the costs of links, in the units of the floors; ``inf`` without a path.
+        length: Length of all legs plus the costs of links, in the units of the floors; ``inf`` without a path. The
+            goal's offset is not included.
     """
 
     legs: list[tuple[int, Float[np.ndarray, "_ 2"]]]
@@ -157,6 +158,15 @@ class Floors:
                 p = p + module.asarray(rest.astype(np.float32))[floor]
             p = module.where(((floor >= 0) & (floor < count))[..., None], p, np.nan)
         return module.where(inside[..., None] | module.isnan(p), p, np.inf)
+
+    def places_in_plane(self, places: Any) -> Any:
+        """Return a pair of floors ``(...)`` and points ``(..., 2)`` as points of the plane, else ``ValueError``."""
+        # Two plain points are a pair, too, but the first one has as many axes as the second one.
+        if not isinstance(places, tuple | list) or len(places) != 2 or np.ndim(places[0]) >= np.ndim(places[1]):
+            raise ValueError(
+                f"Places must be (floor, points), of shapes (...) and (..., 2), got {shortened(places)}."
+            )
+        return self.in_plane(*places)
 
     def next_links(self, numbers: Any) -> Any:
         """Return the index of the link that a path takes next, given the number of the root where its leg ends.

@@ -1,6 +1,5 @@
 """PLRs of whole buildings that are queried in NumPy, without JAX, and exported as C."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._files import file_path
+from plr_jax._files import StrPath, file_path
 from plr_jax._types import ArrayLike
 from plr_jax.buildings.floors import Floors, OnFloors
 from plr_jax.geometry.box import Box
@@ -31,9 +30,9 @@ class NumpyBuildingPLR(OnFloors):
     def __call__(self, floor: ArrayLike, x: ArrayLike) -> Any:
         """Return the distance ``(...)`` at points ``x`` ``(..., 2)`` of floors, an index or an array ``(...)``.
 
-        The distance includes the costs of links. It is ``inf`` outside the floor's bounds and where the PLR of the
-        plane answers ``inf``, NaN where a coordinate is NaN. ``ValueError`` for points of another shape or an unknown
-        floor; inside ``jit``, an unknown floor gives NaN.
+        The distance includes the costs of links and the goal's offset. It is ``inf`` outside the floor's bounds and
+        where the PLR of the plane answers ``inf``, NaN where a coordinate is NaN. ``ValueError`` for points of
+        another shape or an unknown floor; inside ``jit``, an unknown floor gives NaN.
         """
         return self.plane(self.floors.in_plane(floor, x))
 
@@ -42,9 +41,10 @@ class NumpyBuildingPLR(OnFloors):
         return self.plane.bounds(self.floors.in_plane(floor, x))
 
     def which(self, floor: ArrayLike, x: ArrayLike) -> Any:
-        """Return the index ``(n,)`` of the link that paths take next: -1 to walk to the goal, -2 without a path.
+        """Return the index ``(n,)`` of the link that paths take first: -1 if they take none, -2 without a path.
 
-        If paths by two links are about equally long, either link may be the answer. The leaves must be cones, else
+        Of several goals, -1 does not tell which one: build a PLR of each goal, and compare their distances. If paths
+        by two links are about equally long, either link may be the answer. The leaves must be cones, else
         ``ValueError``.
         """
         return self.floors.next_links(self.plane.which(self.floors.in_plane(floor, x)))
@@ -74,11 +74,11 @@ class NumpyBuildingPLR(OnFloors):
         return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(marks, LO=lo, HI=hi, SHIFT=shift)
 
 
-def load_numpy(path: str | os.PathLike) -> NumpyPLR | NumpyBuildingPLR:
+def load_numpy(path: StrPath) -> NumpyPLR | NumpyBuildingPLR:
     """Read a PLR, of a building or not, that :func:`save` wrote, without importing JAX.
 
     ``OSError`` if the file cannot be read. ``ValueError`` if this release cannot read the file as a PLR to fixed
-    goals, for example a file with distances between any two points.
+    goals. Files with distances between any two points or places need JAX to be read: ``load(path).numpy()``.
     """
     path = file_path(path)
     try:

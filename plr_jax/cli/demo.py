@@ -13,10 +13,7 @@ import typer
 import plr_jax
 from plr_jax import plot, scenes
 from plr_jax._types import ArrayLike
-from plr_jax.cli import files
-from plr_jax.cli.build import build
-from plr_jax.cli.inputs import DEFAULT_BYTES
-from plr_jax.cli.plan import solve
+from plr_jax.cli import build, files, inputs, plan
 
 _MAX_BYTES = 1_024  # of a PLR, as in the README's first example
 # Number of points in a batch, and of timed calls: for the PLR, and for the oracle, which is slower.
@@ -34,14 +31,14 @@ def run(output: Path) -> None:
     oracles = plr_jax.robot_distance_fns(problem)
     plrs = [plr_jax.construct(oracle, problem.workspace.bounds, max_bytes=_MAX_BYTES) for oracle in oracles]
     typer.echo(f"  heuristic  a PLR for each robot, {sum(plr.num_bytes for plr in plrs):,} bytes in all")
-    solution = solve(problem, plr_jax.BLOptions(), plr_jax.sum_of_distances(plrs))
+    solution = plan.solve(problem, plr_jax.BLOptions(), plr_jax.sum_of_distances(plrs))
     if solution.status is plr_jax.Status.INTERRUPTED:
         raise KeyboardInterrupt
     animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
     for file in (output / "four_rooms.html", output / "four_rooms.gif"):
         animation.save(file)
         typer.echo(f"  wrote      {file}   (dashed outlines are goals)")
-    pairs = plr_jax.construct_pairs(problem.workspace, max_bytes=DEFAULT_BYTES).with_label("four rooms")
+    pairs = plr_jax.construct_pairs(problem.workspace, max_bytes=inputs.DEFAULT_BYTES).with_label("four rooms")
     plot.page(pairs).save(page := output / "four_rooms_distances.html")
     typer.echo(f"  wrote      {page}   (distances between two points that you can drag)")
 
@@ -52,7 +49,7 @@ def _maze(file: Path) -> None:
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     typer.echo(f"A maze of six walls. The distances of all points to the goal {tuple(goal.tolist())} go into 1 KB.")
-    build("maze", output=file, max_bytes=_MAX_BYTES, leaf="cone")
+    build.build("maze", output=file, max_bytes=_MAX_BYTES, leaf="cone")
     plr, oracle = plr_jax.load(file), plr_jax.VisibilityGraph(workspace, goal)
     # 2. Compare the speeds of the PLR and of the oracle.
     points = workspace.sample_free(_PLR_POINTS, seed=1)

@@ -5,9 +5,8 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -41,8 +40,7 @@ def oracle_of(workspace: "plr_jax.Workspace", goals: Float[np.ndarray, "goals 2"
     return first if len(goals) == 1 else plr_jax.NearestGoal([first, *map(first.with_goal, goals[1:])])
 
 
-@dataclass(frozen=True)
-class NamedMap:
+class NamedMap(NamedTuple):
     """A map as given on the command line: a scene or a file, its goals, and the options with which it is read.
 
     ``name`` is the name of a scene or the path of a file. If ``goals`` is None, the scene's own goal is used.
@@ -112,9 +110,9 @@ def read_map_of_file(
         return None, None
     beside = file.parent / Path(named.name).name
     if map is not None:
-        named = replace(named, name=map)
+        named = named._replace(name=map)
     elif named.name not in SCENES and not Path(named.name).exists() and beside.exists():
-        named = replace(named, name=str(beside))
+        named = named._replace(name=str(beside))
     # 2. Read it.
     try:
         return named.read()

@@ -324,6 +324,9 @@ class Workspace:
         above. Such a polygon reaches up to 1.09 radii from its corner, so a passage between corners that is hardly
         wider than the disc may be closed.
 
+        Each round corner becomes several corners, in all often too many for a PLR of a few KB. For such a PLR, grow
+        obstacles by Shapely's ``buffer(radius, join_style="mitre")``, which adds hardly any corners.
+
         A straight passage exactly as wide as the disc is closed. ``ValueError`` if the radius is negative or not
         finite, or nothing stays free.
         """

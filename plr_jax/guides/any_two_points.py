@@ -87,4 +87,21 @@ nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works i
 
 A stack is fastest if all its PLRs have one leaf model. If only the nearest goal counts, a single PLR of a
 `plr_jax.NearestGoal` is enough: see `plr_jax.guides.distance_function`. All classes of pairs are in `plr_jax.pairs`.
+
+# In C and JavaScript
+
+The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use
+`pairs.to(goal)`, the distance to one goal. The header of a `plr_jax.GridPairs` defines
+`int32_t grid_steps(uint32_t from, uint32_t to)`, which reads tables from a separate file, with bytes `header.table`.
+
+```python
+from pathlib import Path
+
+Path("pairs.mjs").write_text(pairs.js_module())
+Path("to_goal.h").write_text(pairs.to((0.06, 0.07)).c_header("to_goal"))
+
+header = plr_jax.construct_grid_pairs(np.ones((8, 8), bool)).c_header("grid")
+Path("grid.h").write_text(header.text)
+Path("grid.tables").write_bytes(header.table)
+```
 """

@@ -8,6 +8,8 @@ times, scale all coordinates to seconds of walking, and give links their times.
 # Exact distances
 
 ```python
+import numpy as np
+
 import plr_jax
 
 ground = plr_jax.Workspace(((0, 0), (20, 10)), obstacles=[[(8, 0), (8.2, 0), (8.2, 8), (8, 8)]])
@@ -22,16 +24,17 @@ oracle = building.oracle(0, (10, 1))  # the goal: floor 0, point (10, 1)
 
 x = ground.sample_free(1000, seed=0)
 print(oracle(0, x)[:3], oracle(1, [(1, 1), (19, 1)]))  # distances, costs of links included
-print(oracle.which(1, x)[:3])  # the next link; -1: walk to the goal, -2: no path
+print(oracle.which(1, x)[:3])  # the first link of each path; -1: walk to the goal, -2: no path
 route = oracle.shortest_path(1, (13, 8))  # a plr_jax.buildings.Route
 print(route.length, route.links, route.legs)  # a leg is a floor and points (m, 2)
 ```
 
 Links are named by their indices in `links`. The floor may also be an array `(n,)`, one index per point. Another goal
 needs little more time: `building.oracle(1, (5, 5))` shares the preprocessing. For the nearest of several goals, pass
-a list: `building.oracle([(0, (1, 1)), (0, (19, 1))])`; the last leg of a route ends at the nearest goal. `oracle[1]`
-is the distance function of floor 1 alone, a `plr_jax.NearestGoal`. If a lift must not be used, as in a fire, make a
-building without it.
+a list: see *Exits and queues*. If a lift must not be used, as in a fire, make a building without it.
+
+For functions of plr_jax that take one workspace, `oracle[1]` is a `plr_jax.NearestGoal` of points of floor 1. It
+returns the same distances as `oracle(1, x)`.
 
 # Kilobytes, proofs, batches
 
@@ -68,7 +71,8 @@ pairs = plr_jax.construct_pairs(building)  # plr_jax.pairs.BuildingPairs
 print(pairs((0, x[:3]), (1, (5, 5))), pairs.bounds((0, x[:3]), (1, (5, 5))))
 ```
 
-Places are a pair of a floor and points; batches are broadcast. With one-way links, the distance back differs.
+A place is a pair of a floor and points; batches are broadcast. With one-way links, the distance back differs.
+`pairs.numpy()` answers in NumPy, without compiling. To read a saved file of pairs, `plr_jax.load` needs JAX.
 
 # Levels of a game: jumping down
 
@@ -85,16 +89,21 @@ print(level.oracle(1, (2, -9)).shortest_path(0, (3, 5)).links)  # down by a jump
 print(level.oracle(0, (3, 5)).shortest_path(1, (2, -9)).links)  # up by the ladder
 ```
 
-# Queues at exits
+# Exits and queues
 
-A goal may cost something to use. `plr_jax.NearestGoal` takes such costs as `offsets`, and `plr_jax.descend` too:
+Several goals may each cost something to use, such as waiting in a queue. Such costs are `offsets`, here 12 m of
+walking at the first exit. Distances include the offset of the goal; lengths of routes do not.
 
 ```python
-first = plr_jax.VisibilityGraph(ground, (0, 5))
-exits = plr_jax.NearestGoal([first, first.with_goal((20, 5))], offsets=[12.0, 0.0])  # a queue at the first exit
-print(exits.which([(6, 5), (1, 5)]))
-paths = plr_jax.descend(exits, ground, x[:5], [(0, 5), (20, 5)], offsets=[12.0, 0.0])
+exits = [(0, (0, 5)), (0, (20, 5)), (1, (0, 2))]
+nearest = building.oracle(exits, offsets=[12, 0, 0])
+print(nearest(1, [(1, 8)]), nearest.nearest_goal(1, [(1, 8)]))  # the index of the exit, -1: no path
+each = [building.oracle(*place).construct(max_bytes=1024) for place in exits]  # a PLR of each exit
+costs = np.array([f(1, [(1, 8)]) for f in each]) + np.array([[12], [0], [0]])
+print(costs.argmin(axis=0))  # the index of the exit; if all costs are inf, there is no path
 ```
+
+PLRs of `nearest.construct` include the offsets. On one floor, `plr_jax.NearestGoal` and `plr_jax.descend` take them.
 
 # Files
 

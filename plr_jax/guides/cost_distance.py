@@ -28,8 +28,8 @@ The result is a `plr_jax.CostDistance`. Where no source can be reached, `distanc
 # Files: GeoTIFF and xarray, meters and degrees
 
 With `pip install 'plr-jax[gis]'`, costs and heights may be paths of files, whose scale is applied, or `DataArray`s of
-two dimensions. Cells without data are barriers. Sources and paths have the coordinates of the file; masks have its
-order of rows. Results are `DataArray`s. The distance of a path is that in the cell of `path[0]`, the cell's center.
+two dimensions with equal coordinates. Cells without data are barriers. Sources and paths have the file's coordinates;
+masks have its order of rows. Results are `DataArray`s. Paths start at centers of cells, and cost the distances there.
 
 ```text
 result = plr_jax.cost_distance("friction.tif", clinics)
@@ -91,7 +91,8 @@ print(there.distance[30, 5] / 60, back.distance[30, 5] / 60)  # minutes up to th
 In our experiments, mean errors are 0.03 to 0.04 % where costs change slowly, 0.1 to 0.2 % in land classes with roads
 of one cell (at most 2.2 % in a cell), and 0.04 to 0.5 % with heights. `bounds=True` adds `result.lower` and
 `result.upper`, which are proven for costs that are constant in each cell, in a plane without heights. `upper` is the
-distance, rounded up. The mean gap between the bounds is 1.5 to 3.5 % of the mean distance; it is larger near sources.
+distance, rounded up. The mean gap between the bounds is 1.5 to 3 % of the mean distance if sources are at centers of
+cells, and up to 10 % if sources are on borders of cells: move them to centers. The gap is larger near sources.
 
 ```python
 bounded = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)

@@ -1,9 +1,9 @@
 """Distances between any two points of a building, along paths that may take links from floor to floor."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
-from jaxtyping import Array, Float
 
 from plr_jax._compiled import serializable
 from plr_jax._types import ArrayLike
@@ -21,20 +21,24 @@ class BuildingPairs(OnFloors):
         pairs = plr_jax.construct_pairs(building)
         pairs((0, x), (2, y))  # (n,), from points x (n, 2) of floor 0 to points y of floor 2
 
-    A path may take links. With one-way links, the distance back may differ. The attribute ``plane`` is a
-    :class:`PairPLR`, whose methods ``prepared`` and ``to`` raise ``ValueError`` if there are links. BuildingPairs are
-    a pytree of the arrays of ``plane``.
+    A path may take links. With one-way links, the distance back may differ. BuildingPairs are a pytree of the arrays
+    of their ``plane``, a :class:`PairPLR`. If there are links, ``pairs.plane.prepared``, ``pairs.plane.to`` and
+    ``pairs.plane.js_module`` raise ``ValueError``.
     """
 
-    def __call__(self, x: Places, y: Places) -> Float[Array, "*batch"]:
+    def __call__(self, x: Places, y: Places) -> Any:
         """Return the distance from points ``x`` to points ``y``, ``(...)``, costs of links included.
 
-        Both are pairs ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``. The
-        distance is ``inf`` without a path and outside a floor's bounds. :func:`construct_pairs` states the errors, in
-        widths of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
+        Both are pairs ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``, else
+        ``ValueError``. The distance is ``inf`` without a path and outside a floor's bounds. :func:`construct_pairs`
+        states the errors, in widths of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
         """
-        return self.plane(self.floors.in_plane(*x), self.floors.in_plane(*y))
+        return self.plane(*map(self.floors.places_in_plane, (x, y)))
 
-    def bounds(self, x: Places, y: Places) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    def bounds(self, x: Places, y: Places) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance, ``(...)`` each; see :meth:`PairPLR.bounds`."""
-        return self.plane.bounds(self.floors.in_plane(*x), self.floors.in_plane(*y))
+        return self.plane.bounds(*map(self.floors.places_in_plane, (x, y)))
+
+    def numpy(self) -> "BuildingPairs":
+        """Return the same function in NumPy: its ``plane`` is :meth:`PairPLR.numpy`. It cannot be saved."""
+        return BuildingPairs(self.floors, self.plane.numpy())

@@ -51,8 +51,8 @@ def replan(
         solution: The current motion of the same robots, from any planner.
         at: The time since the start of the solution's path, at least 0; after its makespan, robots are at its end.
         options: ``step``, ``time_limit``, ``lower_bound`` and ``cost_factor`` apply. If :func:`bl_plan` plans the
-            whole team, all options apply, and the time limit starts again. The result is then the cheaper of the path
-            of :func:`bl_plan` and the replanned path.
+            whole team, all options apply, and the time limit starts again. If replanning has found a path, too, the
+            cheaper one of both paths is returned.
         standing: Indices of robots that do not move; their goals must equal their starts. Other robots may make way
             and return, even if their goals are their starts. With standing robots, :func:`bl_plan` is not used.
 

@@ -3,7 +3,6 @@
 import io
 import json
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -14,13 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from plr_jax._arrays import as_finite, as_number
-from plr_jax._files import file_path, write_atomically
+from plr_jax._files import StrPath, file_path, write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
-from plr_jax.plot import _paths
-from plr_jax.plot._axes import new_axes
+from plr_jax.plot import _axes, _paths, _plane
 from plr_jax.plot._page import BORDER, PLAY, asset, html_document, in_iframe, obstacles_path, pixel_scale, pixels
-from plr_jax.plot._plane import plot_workspace
 from plr_jax.robots import placed
 
 _CONTROLS = 28  # pixels: height of the controls below the picture, as in page.css
@@ -122,7 +119,7 @@ class Animation:
         """Number of frames of a GIF, from the start to the end of the path."""
         return max(1, round(self.seconds * self.frames_per_second)) + 1
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write a looping ``.gif``, or an ``.html`` page with a time slider; another ending raises ``ValueError``."""
         path = file_path(path)
         if (ending := path.suffix.lower()) not in (".gif", ".html"):
@@ -182,8 +179,8 @@ def _gif(animation: Animation) -> bytes:
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     problem, motion = animation.problem, animation.motion
     # 1. Draw the static background once: the workspace, whole tracks as thin lines, goals as outlines.
-    ax = new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
-    plot_workspace(problem.workspace, ax)
+    ax = _axes.new_axes(problem.workspace.bounds, (_MARGIN, _MARGIN), (_MARGIN, _MARGIN), _DPI)
+    _plane.plot_workspace(problem.workspace, ax)
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for i in range(len(problem.robots)):
         ax.plot(*motion.configurations[:, i, :2].T, color=_paths.color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)

@@ -2,7 +2,6 @@
 
 import html
 import json
-import os
 import re
 import zlib
 from base64 import b64encode
@@ -14,17 +13,15 @@ import shapely
 from jaxtyping import Float
 
 from plr_jax._arrays import require_type, shortened
-from plr_jax._files import file_path, write_atomically
+from plr_jax._files import StrPath, file_path, write_atomically
 from plr_jax.buildings import BuildingPLR
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs import PairPLR
 from plr_jax.pairs.portable import js_pairs_reader
-from plr_jax.plot._axes import INK
-from plr_jax.plot._plane import OBSTACLE, blocked_polygons
+from plr_jax.plot import _axes, _plane
 from plr_jax.plr import PLR, NumpyPLR
-from plr_jax.plr.container import Container
-from plr_jax.plr.leaves import Cone, leaf_of_code
+from plr_jax.plr.leaves import Cone
 from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
 _FRAME = (560, 900)  # width and height, in pixels, of a page in a notebook
@@ -41,7 +38,7 @@ def asset(name: str) -> str:
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
     """Assemble a web page: ``style`` is CSS added to ``page.css``, ``body`` is HTML, and ``script`` is JavaScript."""
-    style = asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style
+    style = asset("page.css").replace("{{ink}}", _axes.INK).replace("{{obstacle}}", _plane.OBSTACLE) + style
     # The title is last, because it may contain a placeholder.
     placeholders = {"style": style, "body": body, "script": script, "title": html.escape(title)}
     page = asset("page.html")
@@ -54,8 +51,7 @@ def packed_script(script: str) -> str:
     """Return a short script that holds ``script`` compressed (deflate, base 64), and unpacks and runs it."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
-    packer = zlib.compressobj(9, wbits=-15)  # without header, as "deflate-raw" expects
-    data = b64encode(packer.compress(bare.encode()) + packer.flush()).decode()
+    data = b64encode(zlib.compress(bare.encode(), 9, wbits=-15)).decode()  # no header, as "deflate-raw" expects
     return asset("unpack.js").replace("{{data}}", data)
 
 
@@ -77,7 +73,7 @@ def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
 
 def obstacles_path(workspace: Workspace, bounds: Box) -> str:
     """Return a workspace's obstacles as SVG path data, in pixels (:func:`pixels`), for the even-odd fill rule."""
-    rings = shapely.get_rings(blocked_polygons(workspace))
+    rings = shapely.get_rings(_plane.blocked_polygons(workspace))
     return "".join(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z" for ring in rings)
 
 
@@ -87,7 +83,7 @@ class Page:
 
     html: str
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the page to an ``.html`` file; another ending of the name raises ``ValueError``."""
         if (path := file_path(path)).suffix.lower() != ".html":
             raise ValueError(f"A page must be written to an .html file, got {str(path)!r}.")
@@ -115,8 +111,7 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
     """
     source, floors, links = plr_or_pairs, None, []
     if isinstance(source, BuildingPLR):
-        source, of_building = source.plane, source.floors
-        shift = of_building.shift
+        source, of_building, shift = source.plane, source.floors, source.floors.shift
         parts = zip((of_building.lo + shift).tolist(), (of_building.hi + shift).tolist(), shift.tolist(), strict=True)
         floors = [dict(zip(("lo", "hi", "shift"), part, strict=True)) for part in parts]
         for index, link in of_building.arcs:
@@ -129,14 +124,14 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
     # 1. Write what field.js shows as JavaScript: name and walls, and the function. Pairs and plain cones are files,
     #    which the readers below decode. Other PLRs become code.
     data = source.to_bytes()
-    name = source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
+    name = source.label or ("A building" if floors else "A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     if workspace is not None and floors:  # drawn for each floor in another place: corners, not pixels
         rings = shapely.get_rings(shapely.get_parts(workspace.free_space))
         walls = {"isFree": True, "rings": [shapely.get_coordinates(ring)[:-1].round(9).tolist() for ring in rings]}
-    facts = {"name": name, "walls": walls, "floors": floors, "links": links}
+    facts = {"name": name, "size": plr_or_pairs.num_bytes, "walls": walls, "floors": floors, "links": links}
     content = {key: json.dumps(value) for key, value in facts.items()}
-    if isinstance(source, PairPLR) or _is_plain_cone(Container.from_bytes(data)):
+    if isinstance(source, PairPLR) or _is_plain_cone(source):
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
         box = {"lo": source.domain.lo.tolist(), "hi": source.domain.hi.tolist()}
@@ -149,16 +144,15 @@ def page(plr_or_pairs: PLR | BuildingPLR | PairPLR, workspace: Workspace | None 
     return Page(html_document(name, asset("field.css"), body, packed_script(script)))
 
 
-def _is_plain_cone(container: Container) -> bool:
-    """Return whether a PLR file has cone leaves, and neither periodic axes nor a folding by mirror symmetries."""
-    is_plain = container.folding is None and not container.domain.is_periodic
-    return is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
+def _is_plain_cone(plr: PLR) -> bool:
+    """Return whether a PLR has cone leaves, and neither periodic axes nor a folding by mirror symmetries."""
+    return isinstance(plr.leaf, Cone) and plr.container.folding is None and not plr.domain.is_periodic
 
 
 def _module(data: bytes) -> str:
     """Return JavaScript code of an object that holds a reader of the PLR file ``data``, and numbers about the file.
 
-    The numbers are its size in bytes, its number of cells, and its proven error.
+    The numbers are its number of cells and its proven error.
     """
     plr = NumpyPLR(data)
     module = plr.js_module()
@@ -167,4 +161,4 @@ def _module(data: bytes) -> str:
     # the tree, from which the page draws the cells. The module of a PLR with one leaf has no tree.
     exported = ", ".join([*_EXPORTED.findall(module), "tree, root" if plr.num_leaves > 1 else "tree: [], root: 2"])
     code = module.replace("export function", "function") + f"\nreturn {{ {exported} }};"
-    return f'{{ read: () => {{\n{code}\n}}, size: {len(data)}, kind: "{plr.num_leaves:,} cells", error: {error} }}'
+    return f'{{ read: () => {{\n{code}\n}}, kind: "{plr.num_leaves:,} cells", error: {error} }}'

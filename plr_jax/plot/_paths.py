@@ -11,14 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
-from matplotlib.text import Text
 
 from plr_jax._arrays import as_numbers
 from plr_jax._problem import Problem, as_path, row_times
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plot._axes import FONT_SIZE, INK
-from plr_jax.plot._plane import plot_workspace
+from plr_jax.plot import _axes, _plane
 from plr_jax.robots import Robot, placed, rows_around, shorter_turn
 
 
@@ -85,7 +83,7 @@ def color_of(i: int) -> str:
 
 
 def ink_on(color: str) -> str:
-    return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
+    return _axes.INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
 
 
 def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
@@ -159,8 +157,8 @@ def add_goal(ax: Axes, problem: Problem, i: int, zorder: float = BODY) -> None:
         ax.add_patch(Polygon(front, closed=False, fill=False, **style, zorder=zorder + 0.2))
 
 
-def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text:
-    style = {"fontsize": FONT_SIZE - 1, "weight": "bold", "ha": "center", "va": "center_baseline"}
+def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Artist:
+    style = {"fontsize": _axes.FONT_SIZE - 1, "weight": "bold", "ha": "center", "va": "center_baseline"}
     return ax.text(at[0], at[1], str(i), color=color, zorder=LABEL, **style)
 
 
@@ -199,7 +197,7 @@ def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"])
 def number_size(ax: Axes, i: int) -> float:
     """Return the side of a square, in workspace units, that holds the number of robot ``i`` as drawn on ``ax``."""
     ax.apply_aspect()
-    points = FONT_SIZE * (1 if i < 10 else 1.5)  # 72 points are one inch
+    points = _axes.FONT_SIZE * (1 if i < 10 else 1.5)  # 72 points are one inch
     units = ax.transData.inverted().transform([(0.0, 0.0), (points * ax.figure.dpi / 72, 0.0)])
     return float(units[1, 0] - units[0, 0])
 
@@ -224,7 +222,7 @@ _SAMPLES, _FADED, _LINE = 3.2, 3.4, 4.0
 
 def plot_problem(problem: Problem, ax: Axes | None = None) -> Axes:
     """Draw a problem: numbered bodies at the starts, with a bar for the heading, and dashed outlines at the goals."""
-    ax = plot_workspace(problem.workspace, ax)
+    ax = _plane.plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
         add_body(ax, problem, i, problem.starts[i])
         add_goal(ax, problem, i)
@@ -255,7 +253,7 @@ def plot_path(
     first, last = begin * motion.duration, end * motion.duration
     shown = motion.between(first, last)
     poses = motion.at(np.linspace(first, last, num_poses, endpoint=False))
-    ax = plot_workspace(problem.workspace, ax)
+    ax = _plane.plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
         for k, q in enumerate(poses[:, i]):
             if k == 0 or (q != poses[k - 1, i]).any():  # draw a robot that waits once

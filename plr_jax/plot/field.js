@@ -1,5 +1,5 @@
 // An interactive view of a distance function. An opened file has a title, bounds and a reader { distance, bounds, route, ... }.
-const { name, file, module, walls, box, floors, links } = {{content}};
+const { name, size, file, module, walls, box, floors, links } = {{content}};
 const KINDS = ["planes", "continuous leaves", "smooth leaves", "cones"];
 const COLORS = "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725".split(" ").map(hex => [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16)));
 const MOST_BYTES = 2 ** 26, MOST_LISTED = 512, FINEST = 500, SIZE = 520, SWARM = 80, UNIT = "workspace units";
@@ -446,6 +446,7 @@ addEventListener("drop", event => { event.preventDefault(); takeFile(event.dataT
 
 // A building: all floors lie side by side in one plane, of which one floor is shown.
 function openFloors(whole) {
+    whole.reader.size = size; // of a building's file, with its floors and links
     if (!floors) return show(whole);
     const select = byId("floor"), showFloor = () => show({ ...whole, domain: whole, isFloor: true, ...floors[select.selectedIndex] });
     select.replaceChildren(...floors.map((_, k) => Object.assign(document.createElement("option"), { textContent: String(k) })));

@@ -24,7 +24,7 @@ from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRu
 from plr_jax.plr.leaves import Cone, leaf_model
 from plr_jax.plr.leaves.base import GivenLimits, LeafModel, Rules, check_limits
 from plr_jax.plr.portable.numpy import NumpyPLR
-from plr_jax.plr.sampling import FitRule, Sampler, WeightFn, least_squares
+from plr_jax.plr.sampling import NEEDED, FitRule, Sampler, WeightFn, least_squares
 from plr_jax.plr.source_cache import SourceCache
 from plr_jax.plr.tree import Cells, grown_domain
 
@@ -160,8 +160,8 @@ def construct(
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning. Most
         distance functions of this package know where free points cannot reach the goal. There, the PLR answers
         ``inf``, except closer than 1/64 of the domain's width to points that can reach the goal. If the limits are
-        too small for this, a warning states the share of the domain where the PLR wrongly answers a finite number.
-        Another warning tells if most of free space cannot reach the goal.
+        too small for this, a warning states an upper estimate of the share of the domain where the PLR wrongly
+        answers a finite number. Another warning tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -306,8 +306,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
-        message = f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads"
-        warnings.warn(f"{message} to the goal. Allow more bytes or leaves.", stacklevel=3)
+        message = f"In up to about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path"
+        warnings.warn(f"{message} leads to the goal. Allow more bytes or leaves.", stacklevel=3)
     if cut_off > 0.5:
         message = f"The goal cannot be reached from about {cut_off:.0%} of free space: is the goal in the right part?"
         warnings.warn(message, stacklevel=3)
@@ -439,8 +439,7 @@ def require_certifiable(oracle: DistanceFn, domain: Box) -> Callable[[Box], Cell
     """
     hint = "Build the PLR without a proof and measure its error"
     if domain.dim != 2 or (cell_sources := getattr(oracle, "cell_sources", None)) is None:
-        need = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
-        raise ValueError(f"A proof needs {need}, got a {type(oracle).__name__} in {domain.dim} dimensions. {hint}.")
+        raise ValueError(f"A proof needs {NEEDED}, got a {type(oracle).__name__} in {domain.dim} dimensions. {hint}.")
     if domain.is_periodic:
         raise ValueError(f"A proof needs Euclidean distances, without periodic axes, got {domain}. {hint}.")
     return cell_sources

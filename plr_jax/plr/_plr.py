@@ -219,12 +219,13 @@ class PLR(FileBacked):
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
         """Return each point's next waypoint: the goal or corner (*source*) from which its leaf measures distances.
 
-        A wall may lie between a point and its waypoint. At a source, the waypoint may be that source itself. For
-        whole paths see :func:`trace`. Points ``x``, ``(..., dim)``, are given as for :func:`evaluate`. Waypoints,
-        ``(..., dim)``, have the precision of ``x``. They are NaN outside the domain and where a coordinate is NaN,
-        and have no meaning where the PLR answers ``inf``. For NumPy's 64-bit points in a domain far from the origin,
-        the result is a NumPy array. ``ValueError`` if the leaves are not cones, or if the points are invalid (see
-        :func:`evaluate`).
+        A wall may lie between a point and its waypoint. Waypoints are rounded: test segments with a tolerance, as in
+        ``workspace.is_visible(x, plr.waypoint(x), 1e-7 * plr.domain.width.max())``. At a source, the waypoint may
+        be that source itself. For whole paths see :func:`trace`. Points ``x``, ``(..., dim)``, are given as for
+        :func:`evaluate`. Waypoints, ``(..., dim)``, have the precision of ``x``. They are NaN outside the domain and
+        where a coordinate is NaN, and have no meaning where the PLR answers ``inf``. For NumPy's 64-bit points in a
+        domain far from the origin, the result is a NumPy array. ``ValueError`` if the leaves are not cones, or if the
+        points are invalid (see :func:`evaluate`).
         """
         as_sourced(self.leaf)
         x = x if isinstance(x, jax.Array) else as_queries(x)

@@ -19,6 +19,8 @@ from plr_jax.plr.folding import Folding
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, Rows, corner_bits
 
+# What cones and proofs need, for messages.
+NEEDED = "a function in the plane that answers for whole cells: VisibilityGraph, or NearestGoal of these (not nested)"
 # The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
 # walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
 MAX_ASPECT_BITS = 3

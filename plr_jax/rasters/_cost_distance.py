@@ -1,6 +1,7 @@
 """Cost distance over a raster: the least accumulated cost between each cell and the nearest of given points."""
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -143,8 +144,9 @@ def cost_distance(
         squeeze: Whether paths pass between two barriers that touch in a corner, as they do over 8-connected cells.
             (Through the common corner of two costly cells, such as those of a road, paths always pass, without
             entering these cells.)
-        heights: Height of each cell, in the unit of length: an array, a ``DataArray`` or the path of a file. With
-            heights, costs depend on the direction of travel. Cells without a finite height are barriers.
+        heights: Height of each cell, in the unit of length: an array, a ``DataArray`` or the path of a file, with the
+            shape and the coordinates of ``costs``. With heights, costs depend on the direction of travel. Cells
+            without a finite height are barriers.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, the seconds that a hiker takes per horizontal meter.
         from_sources: With heights, whether paths lead from the sources to the cells (walking out) instead of to the
@@ -259,16 +261,19 @@ def _box_on_sphere(costs: Any, box: Box, shape: tuple[int, int], degrees: bool |
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
-    # If both are a DataArray, they must have equal dimensions and coordinates.
+    # If both are a DataArray, they must have equal dimensions, coordinates and, if known, EPSG codes.
     if is_data_array(raster) and is_data_array(costs):
         is_aligned = raster.dims == costs.dims and raster.shape == costs.shape
         for axis in costs.dims if is_aligned else ():
             ours, given = (np.asarray(each[axis].values, float) for each in (costs, raster))
             tolerance = _TOLERANCE * np.abs(ours[-1] - ours[0]) / max(len(ours) - 1, 1)
             is_aligned &= bool((np.abs(ours - given) <= tolerance).all())
+        with suppress(Exception):  # rioxarray may not be imported, or a reference system is not known
+            is_aligned &= len({each.rio.crs.to_epsg() for each in (costs, raster)} - {None}) < 2
         if not is_aligned:
-            expected = f"the dimensions {costs.dims} and coordinates of costs, got other ones"
-            raise ValueError(f"{name} must have {expected}: use reindex_like(costs) or interp_like(costs).")
+            expected = f"the dimensions {costs.dims}, coordinates and reference system of costs, got other ones"
+            advice = "use reindex_like(costs), interp_like(costs) or rio.reproject_match(costs)"
+            raise ValueError(f"{name} must have {expected}: {advice}.")
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:

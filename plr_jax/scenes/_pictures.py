@@ -6,9 +6,8 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -207,12 +206,11 @@ def read_map_server(
     """
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
     with errors_named(path) as file:
-        map_server = _MapServer.read(file)
-        occupancy = map_server.occupancy
+        occupancy, resolution, origin, _, free_thresh, occupied_thresh = _MapServer.read(file)
         # A comparison with NaN (unknown) is False. So an unknown pixel passes only the first test.
-        free = ~(occupancy > map_server.occupied_thresh) if unknown_is_free else occupancy < map_server.free_thresh
+        free = ~(occupancy > occupied_thresh) if unknown_is_free else occupancy < free_thresh
         options: Any = {"tolerance": tolerance, "drop_specks": drop_specks, "squeeze": squeeze}
-        return Workspace.from_mask(free, map_server.resolution, map_server.origin, row0="top", **options)
+        return Workspace.from_mask(free, resolution, origin, row0="top", **options)
 
 
 def read_cost_map(
@@ -253,8 +251,7 @@ def read_cost_map(
         return RasterCost.from_occupancy_grid(grid, bounds, cost_travel_multiplier=cost_travel_multiplier, **options)
 
 
-@dataclass(frozen=True, eq=False)
-class _MapServer:
+class _MapServer(NamedTuple):
     """The ``.yaml`` file of a map of ROS's ``map_server``."""
 
     occupancy: Float[np.ndarray, "rows columns"]  # of pixels, 0 to 1, NaN where unknown; row 0 is the top row
@@ -289,14 +286,13 @@ class _MapServer:
 
     def occupancy_grid(self) -> Float[np.ndarray, "rows columns"]:
         """Return the values of ROS's ``OccupancyGrid`` of all pixels, 0 to 100 or -1; row 0 is the top row."""
-        occupancy = self.occupancy
+        occupancy, _, _, mode, lowest, highest = self
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
-        if self.mode == "raw":
+        if mode == "raw":
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))
         between = np.full(occupancy.shape, _UNKNOWN, np.float64)  # also where occupancy is NaN: comparisons are False
-        lowest, highest = self.free_thresh, self.occupied_thresh
-        if self.mode == "scale" and lowest < highest:
+        if mode == "scale" and lowest < highest:
             fraction = np.clip((occupancy - lowest) / (highest - lowest), 0.0, 1.0)
             between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * fraction))
         return np.where(occupancy > highest, _OCCUPIED, np.where(occupancy < lowest, _FREE, between))

@@ -6,8 +6,6 @@ size.
 """
 
 import json
-import math
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -80,7 +78,6 @@ def load(path: StrPath) -> Problem:
             raise ValueError(f'expected "robots" to be a list, got {shortened(scene["robots"])}.')
         robots = [_read_robot(i, entry, scene["version"]) for i, entry in enumerate(scene["robots"])]
         weight = scene.get("rotation_weight") if scene["version"] > 1 else None
-        weight = None if weight is None else as_finite("rotation_weight", weight)
         return Problem(read_workspace_entry(scene["workspace"]), robots, scene["starts"], scene["goals"], weight)
 
 
@@ -220,7 +217,7 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
     """
     require_integer("num_robots", num_robots, 1)
     require_integer("seed", seed, 0)
-    side = math.sqrt(num_robots * math.pi * _RADIUS**2 / _COVERED)
+    side = np.sqrt(num_robots * np.pi * _RADIUS**2 / _COVERED)
     rng = np.random.default_rng(seed)
     starts, goals = (_scattered(num_robots, side, rng) for _ in range(2))
     return Problem(Workspace(((0, 0), (side, side)), []), [DiscRobot(_RADIUS)] * num_robots, starts, goals)
@@ -295,7 +292,7 @@ def tangle() -> Problem:
     return load(_FOLDER / "tangle.json")
 
 
-def _load_team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
+def _load_team(name: str, num_robots: int, numbers: tuple[int, ...]) -> Problem:
     if not isinstance(num_robots, int | np.integer) or num_robots not in numbers:
         raise ValueError(f"The scene {name} must have {', '.join(map(str, numbers))} robots, got {num_robots!r}.")
     return load(_FOLDER / f"{name}_{num_robots}.json")

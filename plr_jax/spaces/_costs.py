@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite, as_numbers, as_values, set_fields, shortened
+from plr_jax._arrays import as_finite, as_numbers, as_values, require_type, set_fields, shortened
 from plr_jax._types import ArrayLike, Numbers
 from plr_jax.spaces._space import MotionCost, precision_of
 
@@ -120,8 +120,7 @@ class LipschitzCost:
     least: float
 
     def __post_init__(self):
-        if not callable(self.cost_fn):
-            raise ValueError(f"cost_fn must be a function of configurations (n, dof), got {shortened(self.cost_fn)}.")
+        require_type("cost_fn", self.cost_fn, Callable, "a function of configurations (n, dof)")
         lipschitz, least = as_finite("lipschitz", self.lipschitz), as_finite("least", self.least, positive=True)
         set_fields(self, lipschitz=lipschitz, least=least)
 

@@ -18,14 +18,13 @@ from plr_jax.collision.walls import Booleans, motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace, joined_parts, require_workspace
-from plr_jax.robots import PointRobot, Robot
+from plr_jax.robots import PointRobot, Points, Robot
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
-Positions: TypeAlias = Float[np.ndarray, "n 2"]
 Links: TypeAlias = Float[np.ndarray, "n 2 2"]
 
 
-def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, " n"]) -> Booleans:
+def walls_within(workspace: Workspace, x: Points, radius: Float[np.ndarray, " n"]) -> Booleans:
     """Return whether the clearance of each point is at most the point's radius.
 
     Clearance is the signed distance to walls, negative in obstacles. For radii of at most 0, points of free space
@@ -248,7 +247,7 @@ class _PlanePart(PlaneSpace):
         return free
 
 
-def _shrunk(center: Positions, half: Positions, margin: float) -> Any:
+def _shrunk(center: Points, half: Points, margin: float) -> Any:
     # Shrink by the margin on each side, but at most to half the width, so that thin boxes keep an inside.
     half = np.maximum(half - margin, half / 2)
     return shapely.box(*(center - half).T, *(center + half).T)

@@ -7,7 +7,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from plr_jax._arrays import as_bool, as_finite, as_numbers, as_points, parts, ragged_indices, set_fields, shortened
@@ -36,7 +36,6 @@ _GRID_UNKNOWN, _GRID_MAX_COST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
 _MAX_ENTRIES = 2**26  # entries of a sparse table (256 MiB); a larger table lacks levels, so large blocks take longer
 _WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
 Raster = Float[np.ndarray, "..."]
-Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
 Entries = Int[np.ndarray, "n rank"]
 
 
@@ -401,7 +400,7 @@ class SparseTable:
         return np.minimum.reduceat(least.take(window), starts), np.maximum.reduceat(most.take(window), starts)
 
     @cached_property
-    def _levels(self) -> list[tuple[Int[np.ndarray, " rank"], Window, Window]]:
+    def _levels(self) -> list[tuple[Int[np.ndarray, " rank"], Raster, Raster]]:
         # Each level has a size of windows, and the smallest and largest entry of each window of this size.
         shape = np.array(self.values.shape)
         side, num_entries = np.ones_like(shape), 0
@@ -418,7 +417,7 @@ class SparseTable:
         return levels
 
 
-def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, " rank"]) -> Window:
+def _merge_windows(extreme: np.ufunc, windows: Raster, step: Int[np.ndarray, " rank"]) -> Raster:
     # Merge each window with the one that begins `step` later, along each axis.
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)

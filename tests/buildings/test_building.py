@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from building_checks import Case, wrong_of_oracle, wrong_of_pairs, wrong_of_plr
+from building_checks import Case, are_broken, are_wrong, wrong_of_oracle, wrong_of_pairs, wrong_of_plr
 from building_helpers import BruteForce
 from building_scenes import GOAL, samples, two_floors
 from piece_helpers import box
@@ -41,6 +41,31 @@ def test_bounds_hold_and_routes_from_files_are_free(seed, num_goals):
     case = Case(seed, num_goals)
     plr = case.oracle.construct(max_bytes=1200 + 60 * len(case.building.links), certified=True)
     assert not faults(wrong_of_plr(case, plr))
+
+
+@UNREACHED
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(60))
+def test_goals_that_cost_something_to_use_equal_an_independent_search(seed):
+    case = Case(seed, 3)
+    search, goals, allowed = case.search, case.goals, case.search.allowed
+    offsets = np.random.default_rng(seed).uniform(0, 0.3 * case.building.floors[0].bounds.width.max(), 3)
+    oracle, field = case.building.oracle(goals, offsets=offsets), search.field(goals, offsets)
+    fields = [search.field([goal], [offset]) for goal, offset in zip(goals, offsets, strict=True)]
+    plr = oracle.construct(max_bytes=1200 + 60 * len(case.building.links), certified=True)
+    for floor, (x, _) in enumerate(case.points):
+        truth, nearest = field(floor, x), oracle.nearest_goal(floor, x)
+        assert not are_wrong(oracle(floor, x), truth, allowed).any()
+        of_each = np.stack([*(field(floor, x) for field in fields), np.full(len(x), np.inf)])
+        assert not are_wrong(of_each[nearest, np.arange(len(x))], truth, allowed).any(), "-1 without a path"
+        reached = np.isfinite(truth)
+        assert not are_broken(plr.bounds(floor, x[reached]), truth[reached]).any()
+        assert not reached.any() or not are_wrong(oracle[floor](x), truth, allowed).any()
+        for i in np.flatnonzero(reached)[::3]:
+            route = oracle.shortest_path(floor, x[i])
+            end, goal = route.legs[-1], goals[nearest[i]]
+            assert end[0] == goal[0] and np.abs(end[1][-1] - goal[1]).max() <= allowed
+            assert abs(route.length + offsets[nearest[i]] - truth[i]) <= allowed
 
 
 @UNREACHED
@@ -108,6 +133,10 @@ def test_nearest_of_several_goals_and_floors_that_no_path_leaves():
     oracle = building.oracle([(1, (1, 2)), (1, (9, 9)), (0, (9, 1))])
     np.testing.assert_allclose(oracle(np.array([0, 1, 1, 2]), [(1, 1), (1, 3), (9, 8), (5, 5)]), [6, 1, 1, np.inf])
     assert oracle.which(2, [(5, 5)]).tolist() == [-2]
+    assert oracle.nearest_goal([0, 1, 1, 2], [(1, 1), (1, 3), (9, 8), (5, 5)]).tolist() == [0, 0, 1, -1]
+    costly = building.oracle(oracle.goals, offsets=[9, 0, 3])
+    np.testing.assert_allclose(costly([0, 1], [(1, 1), (1, 3)]), [11, 10])
+    assert costly.nearest_goal([0, 1, 1, 2], [(1, 1), (1, 3), (5, 9), (5, 5)]).tolist() == [2, 0, 1, -1]
     assert oracle.shortest_path(2, (5, 5)).legs == []
     assert oracle[0]([(1, 1), (9, 2)]).tolist() == [6, 1]
     with pytest.raises(ValueError, match=re.escape("No goal can be reached from floor 2.")):
@@ -162,6 +191,12 @@ def test_oracle_takes_an_index_or_an_index_for_each_point():
 def test_invalid_links_and_goals(links, goal, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         Building([HALL, HALL], links).oracle(*goal)
+
+
+@pytest.mark.parametrize("offsets", [[1], [1, -1], [1, np.inf]])
+def test_invalid_offsets(offsets):
+    with pytest.raises(ValueError, match="offsets must be 2 finite numbers of at least 0, one per goal"):
+        Building([HALL]).oracle([(0, (1, 1)), (0, (2, 2))], offsets=offsets)
 
 
 @pytest.mark.parametrize("arguments", [((0, (1, 1)), (1, (1, np.nan)), 1), ((0, (1, 1)), (0, (2, 1)), -1), (0, 1, 1)])

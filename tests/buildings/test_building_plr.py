@@ -16,6 +16,7 @@ from experiments._c_headers import STRICT
 from plr_jax import Building, load, load_numpy, save
 from plr_jax.buildings import BuildingPLR
 from plr_jax.buildings.floors import NO_PATH, Floors
+from plr_jax.plr.growth import BudgetTooSmall
 
 BUILDING = two_floors()
 ORACLE = BUILDING.oracle(*GOAL)
@@ -166,6 +167,15 @@ def test_one_floor_without_links_is_a_plr_of_the_floor():
     plr = Building(BUILDING.floors[:1]).oracle(*GOAL).construct(max_bytes=500)
     assert plr.floors.domain.width.tolist() == [22, 12]
     np.testing.assert_allclose(plr(0, X[:9]), Building(BUILDING.floors[:1]).oracle(*GOAL)(0, X[:9]), atol=0.2)
+
+
+def test_too_small_budgets_are_named_with_the_bytes_of_floors_and_links():
+    with pytest.raises(BudgetTooSmall, match=r"^max_bytes=100 is too small: one leaf takes") as caught:
+        ORACLE.construct(max_bytes=100)
+    needed = caught.value.num_bytes
+    assert ORACLE.construct(max_bytes=needed).num_bytes == needed
+    with pytest.raises(BudgetTooSmall):
+        ORACLE.construct(max_bytes=needed - 1)
 
 
 def test_names_in_c_are_checked_as_given():

@@ -118,7 +118,7 @@ CUT_OFF = {  # a space, a goal, cells, bytes, which points reach the goal, and t
 @pytest.mark.parametrize(
     "place", [*list(CUT_OFF)[:3], *(pytest.param(k, marks=pytest.mark.full) for k in ("voxel", "few bytes"))]
 )
-@pytest.mark.filterwarnings("ignore:The goal cannot be reached", "ignore:In about")
+@pytest.mark.filterwarnings("ignore:The goal cannot be reached", "ignore:In up to about")
 def test_points_that_are_cut_off_answer_inf_and_have_no_upper_bound(place):
     space, goal, max_leaves, max_bytes, reaches, most = CUT_OFF[place]
     plr = solve_eikonal(space, goal, max_leaves=max_leaves, max_bytes=max_bytes).numpy()

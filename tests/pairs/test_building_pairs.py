@@ -18,15 +18,39 @@ def test_distances_and_bounds_in_both_directions():
     there = np.array([BUILDING.oracle(floor, x)(FLOOR, X) for floor, x in zip(*ends, strict=True)])
     back = np.array([BUILDING.oracle(floor, x)(*ends) for floor, x in zip(FLOOR, X, strict=True)]).T
     assert np.abs(there - back).max() > 1, "the slide leads one way"
+    in_numpy = PAIRS.numpy()
     for a, b, truth in ((all_places, some, there), (some, all_places, back)):
         np.testing.assert_allclose(PAIRS(a, b), truth, atol=2e-5)
         lower, upper = map(np.asarray, PAIRS.bounds(a, b))
         assert (lower <= truth + 1e-9).all() and (truth <= upper + 1e-9).all()
         assert np.isfinite(upper).mean() > 0.9
         np.testing.assert_allclose(jax.jit(PAIRS)(a, b), PAIRS(a, b), atol=2e-5)
-        np.testing.assert_allclose(
-            PAIRS.plane.numpy()(*(PAIRS.floors.in_plane(*p) for p in (a, b))), truth, atol=2e-5
-        )
+        np.testing.assert_allclose(in_numpy(a, b), truth, atol=2e-5)
+        lower, upper = in_numpy.bounds(a, b)
+        assert (lower <= truth + 1e-9).all() and (truth <= upper + 1e-9).all()
+
+
+@pytest.mark.usefixtures("unchecked_types")
+@pytest.mark.parametrize(
+    "points", [[(0, 1), (3, 4)], ((1, 1), (1, 1)), np.ones((3, 2)), np.ones((2, 2), int), 0, (0,)]
+)
+def test_points_without_floors_are_refused(points):
+    for pairs in (PAIRS, PAIRS.bounds, PAIRS.numpy()):
+        for ends in ((points, (0, (1, 1))), ((0, (1, 1)), points)):
+            with pytest.raises(ValueError, match=r"Places must be \(floor, points\)"):
+                pairs(*ends)
+    traced = tuple(map(np.asarray, points)) if isinstance(points, list | tuple) else np.asarray(points)
+    with pytest.raises(ValueError, match=r"Places must be \(floor, points\)"):
+        jax.jit(PAIRS)(traced, (0, np.ones(2)))
+
+
+@pytest.mark.full
+def test_places_inside_vmap():
+    floor, x = np.array([0, 1]), np.array([(1.0, 1.0), (2.0, 5.0)])
+    there = PAIRS((floor, x), (0, (9, 1)))
+    np.testing.assert_allclose(
+        jax.vmap(lambda k, x: PAIRS((k, x), (0, np.array((9.0, 1)))))(floor, x), there, atol=2e-5
+    )
 
 
 def test_links_may_be_shorter_than_straight_lines_in_sight():

@@ -99,6 +99,8 @@ def test_page_of_a_building_shows_one_floor(browser, tmp_path):
     building = two_floors()
     plr = building.oracle(0, (10, 1)).construct(max_bytes=1500, certified=True)
     opened(browser, plot.page(plr, building.plane), tmp_path)
+    assert browser.run('byId("title").textContent') == "A building"
+    assert browser.run('byId("facts").textContent').startswith(f"{plr.num_bytes:,} bytes; ")
     for floor, x in ((1, (6.0, 11.0)), (0, (3.0, 8.0))):
         browser.run(f'byId("floor").selectedIndex = {floor}, byId("floor").dispatchEvent(new Event("change")), 0')
         place = (np.array(x) + plr.floors.shift[floor]).tolist()

@@ -161,7 +161,7 @@ def test_goal_cut_off_from_most_free_space_warns_once(leaf):
     with pytest.warns(UserWarning, match=r"The goal cannot be reached from about 7\d% of free space") as caught:
         construct(oracle, workspace.bounds, leaf=leaf, max_leaves=40)
     assert len(caught) == 1 and (shape_checks.IS_ON or caught[0].filename == __file__)
-    with pytest.warns(UserWarning, match=r"In about [34]\d? % of the domain, the PLR answers a finite number"):
+    with pytest.warns(UserWarning, match=r"In up to about [34]\d? % of the domain, the PLR answers a finite number"):
         construct(oracle.with_goal((1.5, 0.5)), workspace.bounds, leaf=leaf, max_leaves=2)
 
 

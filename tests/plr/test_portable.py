@@ -12,18 +12,21 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
+import shapely
 from hostile_files import mutated
 from portable_helpers import SlowReader, case, compiled_answers, full, hard_points, is_far, same_bits
 from vectors import FOLDER, read_vector, vector_names
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes, stack_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, Euclidean, Workspace, construct, construct_pairs, load_numpy, stack
+from plr_jax import Box, Euclidean, VisibilityGraph, Workspace, construct, construct_pairs, load_numpy, stack
+from plr_jax.guides import c_and_javascript
 from plr_jax.plr import NumpyPLR
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
 from plr_jax.plr.portable.numpy import LeafTable
+from plr_jax.scenes import maze
 
 TINY = np.finfo(np.float32).tiny  # XLA takes smaller numbers for 0
 
@@ -289,6 +292,56 @@ def test_c_headers_are_valid_and_small_and_answer_as_numpy(name, compact, tmp_pa
             assert "addss" in code and not re.search(r"\b(cvtss2sd|cvtps2pd|(add|sub|mul|div)sd)\b", code)
         missing = subprocess.run(["nm", "-u", compiled], check=True, capture_output=True, text=True).stdout
         assert set(missing.split()) <= {"U", "sqrtf", "_GLOBAL_OFFSET_TABLE_", *["memcpy", "memset"] * compact}
+
+
+WALKER = """
+#undef main
+int main(void)
+{
+    float x[2], next[2];
+    while (scanf("%f %f", &x[0], &x[1]) == 2) {
+        int steps = 0;
+        printf("%.9g %.9g", x[0], x[1]);
+        maze_waypoint(x, next);
+        do
+            printf(" %.9g %.9g", next[0], next[1]);
+        while (++steps < 99 && maze_distance(next) > 1e-5f && arrive(x, next));
+        puts("");
+    }
+}
+"""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("is_hall", [False, True], ids=["maze", "hall"])
+def test_robots_that_follow_waypoints_as_in_the_guide_arrive(is_hall, tmp_path, compiler):
+    """Even where a file is so small that the leaf at a corner measures distances from this corner."""
+    workspace, goal = maze().workspace, maze().goals[0]
+    if is_hall:  # of 30 m by 20 m, with 27 shelves, for a robot with a radius of 0.35 m
+        shelves = [shapely.box(x, y, x + 1.2, y + 4) for x in range(2, 28, 3) for y in (2, 8, 14)]
+        grown = [shelf.buffer(0.35, join_style="mitre") for shelf in shelves]
+        workspace, goal = Workspace(((0.35, 0.35), (29.65, 19.65)), grown), (29.0, 19.0)
+    plr = construct(VisibilityGraph(workspace, goal), workspace.bounds, leaf="cone", max_bytes=1024 * (1 + is_hall))
+    (tmp_path / "maze.h").write_text(plr.c_header("maze", compact=is_hall))
+    code = re.findall(r"^```c\n(.*?)^```", c_and_javascript.__doc__, re.MULTILINE | re.DOTALL)[0]
+    (tmp_path / "walk.c").write_text(f"#define main example\n{code}{WALKER}")
+    command = [compiler, "-std=c99", "-O2", "-ffp-contract=off", "walk.c", "-o", "walk", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    starts = workspace.sample_free(10_000, seed=1)
+    given = "\n".join(f"{x:.9g} {y:.9g}" for x, y in starts)
+    done = subprocess.run([tmp_path / "walk"], input=given, check=True, capture_output=True, text=True)
+    paths = [np.array(line.split(), float).reshape(-1, 2) for line in done.stdout.splitlines()]
+    assert len(paths) == len(starts)
+    size = workspace.bounds.width.max()
+    np.testing.assert_allclose([path[-1] for path in paths], np.broadcast_to(goal, starts.shape), atol=1e-6 * size)
+    # Few starts, in leaves beside corners, do not see their waypoint. All later segments are free.
+    outer = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+    inner = shapely.difference(outer, workspace.free_space).buffer(-1e-4 * size)
+    shapely.prepare(inner)
+    later = [shapely.MultiPoint(path) if len(path) < 3 else shapely.LineString(path[1:]) for path in paths]
+    assert not shapely.intersects(inner, later).any()
+    lengths = shapely.length([shapely.LineString(path) for path in paths])
+    np.testing.assert_allclose(lengths, VisibilityGraph(workspace, goal)(starts), rtol=0.01, atol=1e-3 * size)
 
 
 ARM = ["arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]

@@ -331,11 +331,20 @@ def test_invalid_coordinates_raise():
 
 
 def test_heights_and_masks_need_coordinates_of_costs():
+    pytest.importorskip("rioxarray")
     costs, heights = raster_of(np.ones((2, 2)), [0, 1], [0, 1]), raster_of([[0, 1], [2, -9999]], [0, 1], [0, 1])
-    with pytest.raises(ValueError, match=r"heights must have the dimensions .* and coordinates of costs"):
+    with pytest.raises(
+        ValueError, match=r"heights must have the dimensions .*, coordinates and reference system of costs"
+    ):
         cost_distance(costs, [(0, 0)], heights=heights[::-1])
-    with pytest.raises(ValueError, match=r"A mask of sources must have the dimensions .* and coordinates of costs"):
+    with pytest.raises(
+        ValueError, match=r"A mask of sources must have the dimensions .*, coordinates and reference system of costs"
+    ):
         cost_distance(costs, heights[::-1] == 0)
+    with pytest.raises(
+        ValueError, match=r"heights must have .* reference system of costs, got other ones: .* rio.reproject_match"
+    ):
+        cost_distance(costs.rio.write_crs(32632), [(0, 0)], heights=heights.rio.write_crs(32633))
     heights.attrs["nodata"] = -9999
     distance = cost_distance(costs, [(0, 0)], heights=heights).distance
     assert np.isinf(distance.values).tolist() == [[False, False], [False, True]]

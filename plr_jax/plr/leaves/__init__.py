@@ -42,7 +42,7 @@ def leaf_of_code(code: int) -> LeafModel:
     ``ValueError`` if no model has this code; its message begins with "it", for the caller to say which file.
     """
     if code == PAIRS_CODE:
-        raise ValueError("it is a file of distances between any two points; read it with load")
+        raise ValueError("it is a file of distances between any two points; read it with load, which needs JAX")
     if code >= len(_MODELS):
         raise ValueError(f"it has leaves of kind {code}, this release knows kinds 0 to {len(_MODELS) - 1}")
     return _MODELS[code]

@@ -20,7 +20,7 @@ from plr_jax.plr.growth import Limits, best_axis, largest_error
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
 from plr_jax.plr.leaves.cone.search import best_cones
-from plr_jax.plr.sampling import Sampler
+from plr_jax.plr.sampling import NEEDED, Sampler
 from plr_jax.plr.tree import Cells, Tree
 
 _UNDERFLOW = 1.1e-19  # root of the smallest normal 32-bit float; squares of smaller differences may become 0
@@ -51,9 +51,8 @@ class Cone(LeafModel):
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones, CellSources]:
         if sampler.cache is None:
-            needed = "a distance function in the plane that answers for whole cells, such as VisibilityGraph"
             got = f"{shortened(sampler.distance_fn)} in {sampler.domain.dim} dimensions"
-            raise ValueError(f"Leaves of kind 'cone' need {needed}, got {got}. Use leaf='continuous' for any other.")
+            raise ValueError(f"Leaves of kind 'cone' need {NEEDED}, got {got}. Use leaf='continuous' for any other.")
         if sampler.weight_fn is not None or rules != Rules(largest_error, best_axis):
             options = "weight_fn, should_split or split: they are chosen by proven errors of whole cells"
             advice = "Leave these options out, or use leaf='continuous'."
