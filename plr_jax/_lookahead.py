@@ -292,8 +292,8 @@ class _Lookahead:
 
         The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
         one path from the cell's center, so that the path from one start does not depend on other starts. The shared
-        path is used if the straight motion from ``x`` to the center is free, and the path falls below ``below``. Else
-        the search begins at ``x``.
+        path is used if the straight motion from ``x`` to the center is free, and the cost-to-go falls below ``below``
+        along the path. Else the search begins at ``x``.
         """
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width

@@ -111,8 +111,8 @@ print(plr_jax.load("exits.plr").which(x[:3]), exits.which(x[:3]), exits.shortest
 
 `plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. The rules are in `plr_jax.plr`; each is a
 function of a `plr_jax.plr.CellFit`, the samples of a batch of cells. Fitting: `least_squares`. Which cell to split:
-`largest_error`, `center_error`, `maximum_depth`. Along which axis: `best_axis`, `cyclic_axis`. `executor` is for
-oracles that take minutes. `leaf=` also takes objects of the leaf classes `plr_jax.plr.Plane` and `Continuous`.
+`largest_error`, `center_error`, `maximum_depth`. Along which axis: `best_axis`, `cyclic_axis`. `executor`
+evaluates slow oracles in parallel. `leaf=` also takes objects of the classes `plr_jax.plr.Plane` and `Continuous`.
 
 ```python
 options = plr_jax.BuildOptions(should_split=plr_jax.plr.maximum_depth, split=plr_jax.plr.cyclic_axis)

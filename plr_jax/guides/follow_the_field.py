@@ -46,7 +46,7 @@ print(descent.costs, costs(starts[:2]))
 # Trace
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
-from the file. Give it the workspace, if you have it, so that no path cuts a corner. The result is a
+from the file. Give `trace` the workspace, if you have it, so that no path cuts a corner. The result is a
 `plr_jax.plr.Traces`, with a `plr_jax.TraceStatus` for each path.
 
 ```python

@@ -48,7 +48,7 @@ print(distance.shape, cells.shape, gradient.shape)  # (4, 2) (4, 11, 11) (4, 2, 
 ```
 
 Distances are `inf`, with a gradient of 0, in blocked cells and where no path leads to the goal. If the goal is
-blocked or outside the grid, they are `inf` everywhere. A field that was made under `vmap` must be called under
+blocked or outside the grid, distances are `inf` everywhere. A field that was made under `vmap` must be called under
 `vmap`: `jax.vmap(lambda field, x: field(x))(fields, x)`. The argument `moves` selects the paths:
 
 - `"any-angle"` (the default): all paths that stay out of blocked cells, and do not pass between two blocked cells

@@ -104,7 +104,7 @@ class Solution:
 
     @property
     def factor(self) -> float:
-        """Proven upper bound of the ratio of the path's cost to the least possible cost; ``inf`` if there is none."""
+        """Proven upper bound of the ratio of the path's cost to the least possible cost; ``inf`` without a proof."""
         if self.cost == 0:
             return 1.0
         return self.cost / self.lower_bound if self.lower_bound > 0 else np.inf

@@ -1,7 +1,8 @@
-"""Rasters in degrees as conformal grids, over which fronts can march.
+"""Conversion of rasters in degrees to grids on Mercator's map, over which fast marching is possible.
 
 On Mercator's map of the sphere, a small motion in any direction is longer by the factor 1 / cos(latitude) than on the
-sphere. So the cost per meter of the map is the cost per meter of the sphere times cos(latitude)::
+sphere. So the cost per meter of the map, the cost per meter of the sphere times cos(latitude), is equal in all
+directions, as fast marching requires::
 
     raster, in degrees        Mercator's map
 

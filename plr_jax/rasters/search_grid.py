@@ -57,7 +57,7 @@ class SearchGrid(NamedTuple):
         return raster.repeat(self.parts[0], axis=0).repeat(self.parts[1], axis=1)
 
     def interpolated(self, raster: Raster) -> Parts:
-        """Return values at the centers of parts, bilinear between centers of cells and constant beyond them."""
+        """Return values of a raster at centers of parts, bilinear between centers of cells, constant beyond them."""
         beside = np.pad(raster, ((1, 1), (0, 0)), mode="edge")
         beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.box.periodic[0] else "edge")
         along = ((np.arange(n * k) + 0.5) / k + 0.5 for n, k in zip(self.shape, self.parts, strict=True))

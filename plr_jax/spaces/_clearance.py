@@ -165,7 +165,8 @@ class ClearanceSpace:
     def _clearances(self, q: Configurations) -> Numbers:
         """Return the clearances at configurations.
 
-        Before, the configurations are clipped to the domain, and wrapped along periodic axes. ``ValueError`` if a clearance is not finite.
+        The configurations are first clipped to the domain, and wrapped along periodic axes. ``ValueError`` if a
+        clearance is not finite.
         """
         q = self.domain.wrapped(self._clipped(q))
         clearance = np.empty(len(q))
