@@ -323,7 +323,7 @@ def test_robots_that_follow_waypoints_as_in_the_guide_arrive(is_hall, tmp_path, 
         workspace, goal = Workspace(((0.35, 0.35), (29.65, 19.65)), grown), (29.0, 19.0)
     plr = construct(VisibilityGraph(workspace, goal), workspace.bounds, leaf="cone", max_bytes=1024 * (1 + is_hall))
     (tmp_path / "maze.h").write_text(plr.c_header("maze", compact=is_hall))
-    code = re.findall(r"^```c\n(.*?)^```", c_and_javascript.__doc__, re.MULTILINE | re.DOTALL)[0]
+    code = re.findall(r"^```c\n(.*?)^```", str(c_and_javascript.__doc__), re.MULTILINE | re.DOTALL)[0]
     (tmp_path / "walk.c").write_text(f"#define main example\n{code}{WALKER}")
     command = [compiler, "-std=c99", "-O2", "-ffp-contract=off", "walk.c", "-o", "walk", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True)
