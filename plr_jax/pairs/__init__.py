@@ -1,7 +1,8 @@
 """Distances between any two points: of a planar workspace, of a grid's cells, of a building, or for any metric.
 
 `construct_pairs` returns a `PairPLR` of a workspace, or `BuildingPairs`; `construct_grid_pairs` returns `GridPairs`,
-and `construct_metric_pairs` returns `MetricPairs`. `PreparedGoals` and `DistanceToCell` answer for fixed goals.
+and `construct_metric_pairs` returns `MetricPairs`. `PreparedGoals` and `DistanceToCell` answer for fixed goals,
+`NumpyPairs` without JAX.
 
 In the plane (:func:`construct_pairs`), module `construct` builds the file, which `stored` defines; `query` searches
 for paths in JAX, `portable` in NumPy; `occlusion` finds what blocks sight. ``GRIDS.md`` explains grids.
