@@ -1,7 +1,7 @@
 """Guides: one page for each task, with examples that run.
 
 - `plr_jax.guides.distance_function`: store the distance to a goal in kilobytes.
-- `plr_jax.guides.any_two_points`: distances between any two points, and to many goals.
+- `plr_jax.guides.any_two_points`: distances between any two points, and to many goals; heuristics for A*.
 - `plr_jax.guides.buildings`: floors, stairs, lifts, one-way links.
 - `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are created inside `jit`.
 - `plr_jax.guides.changing_map`: obstacles that come and go.
@@ -28,6 +28,7 @@ in this table take points of shape `(..., dim)`, and return distances of shape `
 | `plr_jax.plr.NumpyPLR` | `f(x)` | distance to the goal, in NumPy |
 | `plr_jax.plr.PLRStack` | `stack(index, x)` | distance to the goal of PLR number `index` |
 | `plr_jax.PairPLR`, `plr_jax.pairs.MetricPairs` | `pairs(x, y)` | distance between two points |
+| `plr_jax.pairs.NumpyPairs` | `f(x, y)` | distance between two points, in NumPy |
 | `plr_jax.GridPairs` | `pairs(x, y)` | length of a shortest grid path between the cells of two points |
 | `plr_jax.pairs.DistanceToCell` | `to_cell(x)` | length of a shortest grid path to one cell |
 | `plr_jax.buildings.BuildingPLR` | `plr(floor, x)` | distance to the nearest goal of a building |

@@ -5,7 +5,8 @@
 | both points, among polygons | `plr_jax.construct_pairs` | within 4e-7 of the map's width, except beside walls |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact length of a shortest grid path |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
-| the point, to a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | as exact as a PLR of each goal |
+| the point, to a fixed list of goals | `plr_jax.construct_pairs` | as above |
+| the point, to a fixed list of goals, fastest | `plr_jax.construct_many`, `plr_jax.stack` | as exact as PLRs |
 | the nearest of several goals | `plr_jax.NearestGoal` | as exact as its oracles |
 
 # Among polygons
@@ -31,9 +32,9 @@ print(plr(x[:3]), graph(x[:3]))  # to y[0]
 print(distance[:3], graph.between(x[:3], y[:3]))  # from each point of x to the point of y in the same row
 ```
 
-`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget does not make queries more exact. The workspace may
-have at most 8,192 reflex corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end:
-see `plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
+`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget makes queries faster, not more exact. The workspace
+may have at most 8,192 reflex corners. Points closer to a wall than 4e-6 of the map's width may see past its end: see
+`plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` take pairs, too. `pairs.numpy()` answers without JAX.
 
 # On a grid
 
@@ -54,6 +55,28 @@ graph = plr_jax.GridGraph(free, goal=(3.5, 3.5))  # the same distances, found by
 assert (to_dock(positions) == graph(positions)).all()
 ```
 
+# A heuristic for A*
+
+Proven lower bounds are admissible heuristics if all steps of A* are segments of free space, each of which costs at
+least its length:
+
+- to one goal `plr.lower(x)`, to a list of goals `stack.lower(index, x)`, of PLRs with `certified=True`;
+- between any two points `pairs.bounds(x, y)[0]`.
+
+Bounds of PLRs jump between leaves, so A* must reopen a node when it finds a shorter path to that node. Evaluate all
+nodes in one batch: a call with a single point takes 0.4 to 6 ms, or 0.1 to 0.3 ms with `plr.numpy().bounds(x)`.
+On a grid of 8 neighbors, the larger of the bound and the octile distance is a better heuristic than either:
+
+```python
+cells = np.argwhere(free)[:, ::-1] + 0.5  # centers (x, y) of all free cells, (n, 2)
+goal = cells[-1]
+octile = np.abs(cells - goal).max(axis=1) + (np.sqrt(2) - 1) * np.abs(cells - goal).min(axis=1)
+grid = plr_jax.Workspace.from_mask(free, tolerance=0)  # with other tolerances, walls move
+lower, _ = plr_jax.construct_pairs(grid, max_bytes=1024).bounds(cells, goal)
+heuristic = np.maximum(lower, octile)  # (n,)
+assert (heuristic <= plr_jax.GridGraph(free, goal, connectivity=8)(cells) + 1e-9).all()  # exact costs of A*
+```
+
 # Another metric
 
 `plr_jax.pairs.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a
@@ -71,6 +94,14 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 ```
 
 # A list of goals
+
+For many goals among polygons, one `PairPLR` is smaller, more exact, and built in less time than a PLR of each goal.
+A stack of PLRs answers faster. For 50 goals in the floor plan, on 2 cores:
+
+| | bytes | construction | mean error | lower bound / distance | 700,000 distances | 700,000 bounds |
+| --- | --: | --: | --: | --: | --: | --: |
+| `PairPLR`, prepared goals | 4,094 | 0.5 s | 4e-7 | 1.000 | 0.3 s | 3 s |
+| 50 certified PLRs of 1 KB | 50,969 | 4.8 s | 0.007 | 0.951 | 0.002 s | 0.005 s |
 
 Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, with
 mostly smaller mean errors than those of `construct`. With `certified=True`, proven errors are mostly smaller instead.

@@ -72,8 +72,8 @@ the largest error in a cell. Leaves:
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
 existing PLR. Where walls touch only at a point, the distance jumps, and no error below half of the jump can be
-proven: thicken the wall there. `plr.lower` is a distance function that is never above the true distance, so A* with
-this heuristic stays optimal. The heuristic jumps between leaves, so it is not consistent: A* must reopen nodes.
+proven: thicken the wall there. `plr.lower` is never above the true distance, so A* with this heuristic stays optimal.
+The heuristic jumps between leaves, so A* must reopen nodes: see `plr_jax.guides.any_two_points`, also for more goals.
 
 Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
 

@@ -11,14 +11,14 @@
 | `plr_jax.cost_distance` | cost of a cell: compute it, as the length of `result.path(x)` in the cell | |
 
 A gradient is that of one shortest path. By the point, it is the unit vector against the first segment; by the goal,
-the unit vector along the last segment. By a corner at which the path bends, it is the sum of the unit vectors to it
-from its neighbors on the path. By all other vertices, it is 0. `jax.jvp` and `jax.hessian` work inside `jit`, too.
-`notebooks/8_gradients_of_a_distance.ipynb` has pictures.
+the unit vector along the last segment. By a corner, it is the sum of two unit vectors if the path turns there: each
+points to the corner from the vertex before it or after it on the path. By all other vertices, it is 0. `jax.jvp` and
+`jax.hessian` work inside `jit`, too. `notebooks/8_gradients_of_a_distance.ipynb` has pictures.
 
 # Move walls
 
 `plr_jax.polygon_distance(polygons, goal)` returns a `plr_jax.traced.PolygonDistance`, exact for up to 256 vertices.
-All arguments may be traced, and `vmap` takes many maps. Here walls move so that points get a shorter way to a door.
+All arguments may be traced; for many maps, use `jax.vmap`. Here walls move to shorten the paths to a door.
 
 ```python
 import jax
@@ -27,14 +27,12 @@ import numpy as np
 import optax
 import plr_jax
 
-bounds = ((0, 0), (10, 6))
+bounds, door = ((0, 0), (10, 6)), jnp.array([9.0, 1.0])
 walls = jnp.array([[(3, 0), (3.2, 0), (3.2, 4), (3, 4)], [(6, 1), (6.2, 1), (6.2, 6), (6, 6)]])
-door = jnp.array([9.0, 1.0])
 x = jax.random.uniform(jax.random.key(0), (500, 2), maxval=jnp.array([10.0, 6.0]))
 
 def mean_distance(shifts):
-    field = plr_jax.polygon_distance(walls + shifts[:, None], door, bounds=bounds)
-    distance = field(x)
+    distance = plr_jax.polygon_distance(walls + shifts[:, None], door, bounds=bounds)(x)
     return jnp.mean(distance, where=jnp.isfinite(distance))  # points in walls have distance inf
 
 optimizer = optax.adam(0.1)
@@ -49,6 +47,8 @@ state = optimizer.init(shifts := jnp.zeros((2, 2)))
 for _ in range(20):
     shifts, state, cost = step(shifts, state)
 print(shifts, cost)
+gaps = (jnp.abs(x[:, None] - walls.mean(axis=1)) - jnp.ptp(walls, axis=1) / 2).max(axis=2)  # to each box; < 0 inside
+penalty = (jnp.maximum(0.1 - gaps, 0) ** 2).mean()  # add this to a cost, to keep walls 0.1 away from points
 ```
 
 Without a goal, the result is a `plr_jax.traced.PolygonDistances`, of pairs of points. Pad polygons with rows of NaN.
@@ -88,15 +88,13 @@ print(jax.jit(jax.grad(mean_on_host))(walls.reshape(-1, 2)))
 
 Planes, continuous and smooth leaves are linear in the values that the file stores. `plr.tunable()` returns a
 `plr_jax.plr.TunablePLR`, a pytree of these values, which optax fits to measurements. Leaves keep their boxes, and
-stay continuous where they were. Store fewer values than you have measurements, by a small `max_bytes`, or noise is
-fitted, too. `to_plr` writes a file again, without a proof.
+stay continuous where they were. With more values than measurements, noise is fitted, too: use a small `max_bytes`.
 
 ```python
 problem = plr_jax.scenes.maze()
 oracle = plr_jax.VisibilityGraph(problem.workspace, problem.goals[0])
 plr = plr_jax.construct(oracle, problem.workspace.bounds, leaf="continuous", max_bytes=512)
-x = problem.workspace.sample_free(500, seed=0)
-measured = 1.2 * oracle(x)
+measured = 1.2 * oracle(x := problem.workspace.sample_free(500, seed=0))
 
 @jax.jit
 def train(tunable, state):
@@ -108,14 +106,16 @@ tunable, optimizer = plr.tunable(), optax.adam(0.01)
 state = optimizer.init(tunable)
 for _ in range(100):
     tunable, state, loss = train(tunable, state)
-print(loss, tunable.to_plr(max_bytes=512))
+print(loss, tunable.to_plr(max_bytes=512))  # to_plr makes a PLR for a file, without a proof
 ```
 
 # Where gradients jump
 
 - **Two equally short paths**: the gradient is that of one. Average over many points, and keep the best of all steps.
 - **A gap closes or opens**: the distance jumps, and no gradient shows it beforehand. Try several starts.
-- **Points in a wall**: distance `inf`, gradient 0. Mask them, as above; a penalty keeps walls away from points.
+- **Points in a wall**: distance `d = inf`, gradient 0. Masks as above suffice for means. For other functions, such as
+  a variance, first replace `inf`, or gradients are NaN: `ok = jnp.isfinite(d)`, then `d = jnp.where(ok, d, 0)`.
+- **Polygons that cross themselves**, after free moves of vertices: distances are wrong. Check `shapely.is_valid`.
 - **Second derivatives** jump where a point begins to see another corner.
 - **Planes** jump between leaves, gradients of continuous leaves, too. Those of smooth leaves jump across walls only.
 """

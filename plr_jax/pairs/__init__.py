@@ -2,7 +2,7 @@
 
 `construct_pairs` returns a `PairPLR` of a workspace, or `BuildingPairs`; `construct_grid_pairs` returns `GridPairs`,
 and `construct_metric_pairs` returns `MetricPairs`. If goals stay fixed, `PreparedGoals` save time with a `PairPLR`,
-and `DistanceToCell` with `GridPairs`.
+and `DistanceToCell` with `GridPairs`. `NumpyPairs` answer without JAX.
 
 In the plane (:func:`construct_pairs`), module `construct` builds the file, which `stored` defines; `query` searches
 for paths in JAX, `portable` in NumPy; `occlusion` finds what blocks sight. ``GRIDS.md`` explains `GridPairs`.

@@ -6,4 +6,5 @@ from .metric_pairs import MetricPairs as MetricPairs
 from .metric_pairs import construct_metric_pairs as construct_metric_pairs
 from .pair_plr import PairPLR as PairPLR
 from .pair_plr import construct_pairs as construct_pairs
+from .portable import NumpyPairs as NumpyPairs
 from .query import PreparedGoals as PreparedGoals

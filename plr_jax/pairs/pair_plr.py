@@ -88,18 +88,11 @@ class PairPLR(FileBacked):
                 to the nearest point of the domain, and adds the length of this move to the distance.
         """
         outside = as_outside(outside)
-        x = self._from_middle("x", x)
+        x, ends, batch = self._from_middle_and_batch(x, y)
         if not isinstance(y, PreparedGoals):
-            y = self._from_middle("y", y)
-            batch = broadcast_shape("x and y", x, y)[:-1]
-            in_numpy = partial(NumpyPairs.distances, outside=outside)
-            return self._answer(batch, partial(_distances, outside=outside), in_numpy, x, y)[0]
-        batch = broadcast_shape("x and goals", x, y.points)[:-1]
-        size, corners = y.to_corners.shape[-1], self._table_size
-        if size != corners:
-            expected = f"Goals must have been prepared by these pairs, of {corners} corners"
-            raise ValueError(f"{expected}, got goals of {size} corners: call prepared of these pairs.")
-        in_numpy = partial(NumpyPairs.distances_to, outside=outside)
+            in_numpy = partial(NumpyPairs._distances_between, outside=outside)
+            return self._answer(batch, partial(_distances, outside=outside), in_numpy, x, ends)[0]
+        in_numpy = partial(NumpyPairs._distances_to, outside=outside)
         return self._answer(batch, partial(_to_goals, goals=y, outside=outside), in_numpy, x, goals=y)[0]
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
@@ -116,7 +109,7 @@ class PairPLR(FileBacked):
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
             with np.errstate(over="ignore"):  # goals far outside
                 points = goals.astype(np.float32)
-            to_corners = self._numpy.to_corners(points.reshape(-1, 2), self._table_size)
+            to_corners = self._numpy._to_corners(points.reshape(-1, 2), self._table_size)
             to_corners = jnp.asarray(to_corners.reshape(*goals.shape[:-1], self._table_size))
             return PreparedGoals(jnp.asarray(points), to_corners)
         # 2. Many or traced goals: compiled code.
@@ -125,16 +118,19 @@ class PairPLR(FileBacked):
         to_corners = distances_to_corners(self.tables, jax.lax.stop_gradient(inside))
         return PreparedGoals(points, to_corners.reshape(*shape, len(self.tables.distances)))
 
-    def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Lengths, Lengths]:
+    def bounds(self, x: ArrayLike, y: ArrayLike | PreparedGoals) -> tuple[Lengths, Lengths]:
         """Return proven lower and upper bounds, ``(...)`` each, of the distance between points of free space.
 
-        Points and errors are as for a call. The proof includes rounding of the file and of the query. It holds for
-        points of ``Workspace.free_space``, walls included, but not for points that count as free only because of the
-        workspace's tolerance. Lower bounds are at least 0. Upper bounds are lengths of certainly free paths; ``inf``
-        if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
+        Points, goals and errors are as for a call, but prepared goals save no time. The proof includes rounding of
+        the file and of the query. It holds for points of ``Workspace.free_space``, walls included, but not for points
+        that count as free only because of the workspace's tolerance. Upper bounds are lengths of certainly free
+        paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
+
+        Lower bounds are at least 0. They are an admissible heuristic of A*, but beside walls, and by rounding, not a
+        consistent one: A* must reopen a node when it finds a shorter path to that node.
         """
-        x, y = self._from_middle("x", x), self._from_middle("y", y)
-        return self._answer(broadcast_shape("x and y", x, y)[:-1], _bounds, NumpyPairs.bounds_between, x, y)
+        x, ends, batch = self._from_middle_and_batch(x, y)
+        return self._answer(batch, _bounds, NumpyPairs._bounds_between, x, ends)
 
     def to(self, goal: ArrayLike) -> PLR:
         """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
@@ -208,6 +204,18 @@ class PairPLR(FileBacked):
     @property
     def _table_size(self) -> int:
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
+
+    def _from_middle_and_batch(self, x: ArrayLike, y: ArrayLike | PreparedGoals) -> tuple[Any, Any, tuple[int, ...]]:
+        """Return points and second points or goals, both relative to the middle of the domain, and the batch."""
+        x = self._from_middle("x", x)
+        if not isinstance(y, PreparedGoals):
+            y = self._from_middle("y", y)
+            return x, y, broadcast_shape("x and y", x, y)[:-1]
+        batch = broadcast_shape("x and goals", x, y.points)[:-1]
+        if (size := y.to_corners.shape[-1]) != (corners := self._table_size):
+            expected = f"Goals must have been prepared by these pairs, of {corners} corners"
+            raise ValueError(f"{expected}, got goals of {size} corners: call prepared of these pairs.")
+        return x, y.points, batch
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
         """Check points ``(..., 2)``, and return them relative to the middle of the domain.

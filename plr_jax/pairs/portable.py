@@ -163,7 +163,11 @@ class MovedObstacles:
 
 
 class NumpyPairs:
-    """A function of the distance between any two points, in NumPy. :meth:`PairPLR.numpy` returns it."""
+    """The distance between any two points as a function in NumPy, without JAX; made by :meth:`PairPLR.numpy`.
+
+    ``f(x, y)`` is the distance, and ``f.bounds(x, y)`` are its proven bounds. Points are rounded to 32 bits relative
+    to the middle of ``domain``, a :class:`Box`.
+    """
 
     def __init__(self, stored: PairsFileData) -> None:
         # 1. The domain, relative to its middle.
@@ -222,16 +226,16 @@ class NumpyPairs:
     # The functions below are PairPLR's for few points. Points are relative to the middle of the domain, in 32 or 64
     # bits; answers have the same precision. Points in 32 bits that rounding moves out of the domain are inside.
 
-    def distances(self, p: _Points, q: _Points, outside: Outside) -> _Lengths:
+    def _distances_between(self, p: _Points, q: _Points, outside: Outside) -> _Lengths:
         if outside == "clamp":
             (p, shift_p), (q, shift_q) = map(self._clamped, (p, q))
-            return self.distances(p, q, "inf") + (shift_p + shift_q)
+            return self._distances_between(p, q, "inf") + (shift_p + shift_q)
         return _in_blocks(partial(self._lengths, self._obstacles), self._rounded_ends, float(outside), p, q)
 
-    def bounds_between(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
+    def _bounds_between(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         return _in_blocks(self._bounds, self._rounded_ends, np.inf, p, q)
 
-    def distances_to(
+    def _distances_to(
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
         """Return the distance from each point ``p[i]`` to ``goal[i]``.
@@ -241,7 +245,7 @@ class NumpyPairs:
         """
         if outside == "clamp":
             p, shift = self._clamped(p)
-            return self.distances_to(p, goal, to_corners, "inf") + shift
+            return self._distances_to(p, goal, to_corners, "inf") + shift
 
         def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, " some"]:
             single, goal = p.astype(np.float32), goal.astype(np.float32)
@@ -257,7 +261,7 @@ class NumpyPairs:
 
         return _in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners)
 
-    def to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
+    def _to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
         """Return the length of the shortest path from each goal to each corner, ``inf`` without a path.
 
         Rows are padded with ``inf`` to ``size`` columns. Rows of goals outside the domain have no meaning. Goals are

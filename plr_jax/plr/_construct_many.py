@@ -51,14 +51,14 @@ def construct_many(
     are built together, which is faster than :func:`construct`:
 
     - Without a proof, cones are chosen by their mean errors at a grid of up to 512 x 512 points that all goals share.
-      Mean errors are mostly smaller than those of :func:`construct`. Once a PLR is exact at all these points, it
-      grows no further, so its file may stay below ``max_bytes``.
+      Mean errors are mostly smaller than those of :func:`construct`. A PLR that is exact at all these points gets no
+      more leaves, so its file may be smaller than ``max_bytes``.
     - If ``certified``, the leaves of largest proven error are halved until files are full. ``plr.max_error`` and the
       gaps between bounds are mostly smaller than those of :func:`construct`; mean errors may be several times larger.
 
-    All other PLRs are built one by one with :func:`construct`. So are cones of a family in three cases: a tolerance
-    or options other than the executor are given; the limits allow more than about 8,000 leaves; or a part of free
-    space cannot reach the goal.
+    All other PLRs are built one by one with :func:`construct`. Cones of a family are also built one by one in three
+    cases: if a tolerance or options other than the executor are given; if ``max_bytes``, ``max_leaves`` or
+    ``max_depth`` allow more than about 8,000 leaves; or if a part of free space cannot reach the goal.
 
     Args:
         oracles: The distance functions, of any kind.

@@ -191,8 +191,9 @@ class PLR(FileBacked):
         """A proven lower bound of the distance as a function of points: an admissible heuristic.
 
         The function returns the first result of :meth:`bounds`. The heuristic is not consistent, because it jumps
-        between leaves: A* must reopen a node when it finds a shorter path to that node. :meth:`LowerBound.stack`
-        combines the lower bounds of several robots. ``ValueError`` if the PLR has no proof.
+        between leaves: A* must reopen a node when it finds a shorter path to that node. For a grid, see
+        :mod:`plr_jax.guides.any_two_points`. ``plr.lower.stack([a.lower, b.lower])`` combines the lower bounds of a
+        team's robots. ``ValueError`` if the PLR has no proof.
         """
         self._require_band()
         return LowerBound(self)

@@ -87,7 +87,8 @@ def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bou
     Polygons may overlap and touch. Paths may touch walls, but not pass between two polygons that touch in a point.
     Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with these exceptions:
 
-    - A point where two polygons, or a polygon and the bounds, touch lies on one side of the contact, not on both.
+    - A point where two polygons touch, or a polygon and the bounds, belongs to the free space on one side of the
+      contact only. Paths from the other side to this point lead around the polygons.
     - The tip of an acute angle between walls of two polygons or bounds may count as blocked.
     - In 32 bits, gaps narrower than 3e-5 of the map's size may count as closed, and a point closer to a wall than
       1e-6 of this size may count as on either side of it. In 64 bits, these are 1e-13 and 1e-15.
@@ -96,7 +97,8 @@ def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bou
     one shape. 1,000 points among 64 vertices then take milliseconds.
 
     Args:
-        polygons: Simple polygons, ``(m, k, 2)``, clockwise or counterclockwise, not necessarily convex. Pad polygons
+        polygons: Simple polygons, ``(m, k, 2)``, clockwise or counterclockwise, not necessarily convex. Distances
+            are wrong, without an error, if a polygon crosses itself: they may even be ``inf`` outside. Pad polygons
             of fewer vertices by repeated vertices or by rows of NaN. Of equal vertices, one has the gradient. At most
             256 vertices, ``m * k``, with padding.
         goal: Goal ``(2,)``, or several goals ``(g, 2)``: distances are those to the nearest goal. No path leads to a

@@ -123,6 +123,7 @@ def test_prepared_goals_answer_as_points(maze):
     near(maze(x, goals), np.diag(every))
     near(maze(x.reshape(6, 10, 2), maze.prepared(y[7])), every[:, 7].reshape(6, 10))
     near(maze(x[5], jax.tree.map(lambda each: each[2:], goals)), every[5, 2:])
+    np.testing.assert_array_equal(maze.bounds(x[:, None], goals), maze.bounds(x[:, None], y))
     with jax.enable_x64(True):
         single, double = jnp.asarray(y, jnp.float32), np.dtype(float)
         assert maze(x, single).dtype == maze(x, maze.prepared(y)).dtype == double != maze(single, single).dtype
@@ -136,6 +137,8 @@ def test_prepared_goals_have_gradients_in_points_under_jit_and_vmap(maze):
     distances, gradients = jax.jit(jax.vmap(ask, (0, None, 0)))(x, maze, y)
     np.testing.assert_allclose(distances, exact(MAZE, x, y), atol=1e-6)
     np.testing.assert_allclose(gradients, jax.jit(jax.vmap(jax.grad(maze)))(x, y), atol=1e-6)
+    bounds = jax.jit(lambda x, y: (maze.bounds(x, maze.prepared(y)), maze.bounds(x, y)))(x, y)
+    np.testing.assert_array_equal(*bounds)
 
 
 @pytest.mark.full
@@ -159,6 +162,8 @@ def test_wrong_goals_raise(maze):
     other = construct_pairs(Workspace(((0, 0), (1, 1))), max_bytes=200)
     with pytest.raises(ValueError, match="prepared by these pairs"):
         maze(INSIDE, other.prepared(np.full(2, 0.5)))
+    with pytest.raises(ValueError, match="prepared by these pairs"):
+        maze.bounds(INSIDE, other.prepared(np.full(2, 0.5)))
     for wrong in ((2.0, 2.0), (np.nan, 0.0), (1.0,)):
         with pytest.raises(ValueError, match=r"goal|Goal"):
             maze.to(wrong)
