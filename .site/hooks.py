@@ -19,7 +19,7 @@ sys.path.insert(0, str(ROOT))
 TASKS = [
     ("Maps and scenes", "distance_function", "geometry scenes"),
     ("Distances to a goal", "distance_function", "oracles _types"),
-    ("PLRs", "distance_function", "plr _io"),
+    ("PLRs", "distance_function", "plr _io plr._stack.evaluate"),
     ("Errors and pictures", "distance_function", "metrics plot"),
     ("Any two points", "any_two_points", "pairs plr._construct_many plr._stack"),
     ("Buildings", "buildings", "buildings pairs.building_pairs"),
@@ -34,12 +34,19 @@ TASKS = [
 FIGURES = {"1": 2, "2": 4, "3": 3, "4": 2, "5": 3, "6": 2, "7": 3, "8": 3}  # the gallery's picture of each notebook
 GUIDES, API, GALLERY = "plr_jax/guides/README.md", "api/README.md", "notebooks/README.md"
 RESULTS = ["experiments/README.md", "experiments/paper.md"]
+INTERNAL = r"_(?!_call__)|tree_|(file_bytes|has_arrays_of_file|table_class|tables_from_corner|tables_and_points)$"
+INTERNAL += "|parameter_map"  # members of classes that are on no page
 PROJECT = ["CHANGELOG.md", "STABILITY.md", "SECURITY.md", "CONTRIBUTING.md"]
 package: Any = griffe.load("plr_jax", search_paths=[ROOT])
 top = importlib.import_module("plr_jax")
 modules = [name for name in top.__all__ if package[name].is_module and name != "guides"]
 pages: dict[str, Any] = {}  # Markdown and files by their paths in the site
 fenced = "\n```{}\n{}\n```\n".format
+
+
+def guide_title(name: str) -> str:
+    """Return the title of a guide."""
+    return name.replace("_", " ").capitalize().replace("javascript", "JavaScript")
 
 
 def docstring(name: str) -> str:
@@ -52,10 +59,18 @@ def add_guides() -> list[str]:
     names = re.findall(r"^- `plr_jax.guides.(\w+)`", package["guides"].docstring.value, re.MULTILINE)
     pages[GUIDES] = f"# Guides {{ #plr_jax.guides }}\n\n{docstring('plr_jax.guides')}"
     for name in names:
-        title = name.replace("_", " ").capitalize().replace("javascript", "JavaScript")
-        text = f"# {title} {{ #plr_jax.guides.{name} }}\n\n{docstring(f'plr_jax.guides.{name}')}"
+        text = f"# {guide_title(name)} {{ #plr_jax.guides.{name} }}\n\n{docstring(f'plr_jax.guides.{name}')}"
         pages[f"plr_jax/guides/{name}.md"] = text
     return [GUIDES, *(f"plr_jax/guides/{name}.md" for name in names)]
+
+
+def members(name: str, guide: str) -> str:
+    """Return the option that lists the members of a class: first those that its guide mentions, in its order."""
+    found = package[name].all_members if package[name].is_class else {}
+    shown = [key for key, member in found.items() if not re.match(INTERNAL, key) and member.has_docstring]
+    shown.sort(key=lambda key: (not found[key].is_function, found[key].inherited))
+    mentions = ["__call__", *re.findall(r"\.(\w+)", guide), *shown]
+    return f"    options: {{members: {json.dumps(sorted(shown, key=mentions.index))}}}\n" if shown else ""
 
 
 def add_api() -> list[str]:
@@ -76,11 +91,17 @@ def add_api() -> list[str]:
         pages[path] = f"# {title}\n\nGuide: `plr_jax.guides.{guide}`\n"
         pages[API] += f"\n### [{title}]({Path(path).name})\n\n"
         pages[f"plr_jax/guides/{guide}.md"] += f"\nAPI: [{title}](../../{path})\n"
-        mentions = re.findall(r"plr_jax\.([\w.]*\w)", package["guides"][guide].docstring.value) + names
+        guide_text = package["guides"][guide].docstring.value
+        mentions = re.findall(r"plr_jax\.([\w.]*\w)", guide_text) + names
         modules_of = {name: name.partition(".")[0] if "." in name or name in modules else "" for name in names}
-        order = {name: (modules_of[name], name not in modules, mentions.index(name)) for name in names}
+        order = {
+            name: (modules_of[name], name not in modules, not package[name].is_function, mentions.index(name))
+            for name in names
+        }
         for name in sorted(public[title].values(), key=order.get):
-            pages[path] += f"\n::: plr_jax.{name}\n" + "    options: {members: false}\n" * (name in modules)
+            pages[path] += f"\n::: plr_jax.{name}\n" + (
+                "    options: {members: false}\n" if name in modules else members(name, guide_text)
+            )
             about = package[name].docstring.value.partition("\n\n")[0].split()
             pages[API] += f"- `plr_jax.{name}`: {' '.join(about)}\n"
     return [API, *paths]
@@ -89,12 +110,15 @@ def add_api() -> list[str]:
 def add_notebooks() -> list[str]:
     """Add the notebooks with their stored outputs, and the gallery."""
     notebooks = {path.stem: json.loads(path.read_text()) for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
-    pages[GALLERY] = '# Notebooks\n\n<div class="cards" markdown>\n'
+    pages[GALLERY] = '# Gallery of notebooks\n\n<div class="cards" markdown>\n'
     for name, notebook in notebooks.items():
         text, num_figures = "", 0
         for cell in notebook["cells"]:
             source = "".join(cell["source"])
-            text += fenced("python", source) if "outputs" in cell else f"\n{source}\n".replace(".ipynb)", ".md)")
+            if "outputs" in cell:
+                text += fenced("python", source)
+            else:  # formulas are short: italics need no script
+                text += "\n" + re.sub(r"\$([^$\n]+)\$", r"<i>\1</i>", source).replace(".ipynb)", ".md)") + "\n"
             for output in cell.get("outputs", []):
                 data = output.get("data") or {"text/plain": output["text"]}
                 html = "".join(data.get("text/html", ""))
@@ -134,11 +158,15 @@ def add_markdown(name: str) -> None:
 def on_config(config: Any) -> None:
     """Collect all pages, and set the navigation."""
     project = [name for name in PROJECT if (ROOT / name).exists()]
-    config.nav = [{"Home": "README.md"}, {"Guides": add_guides()}, {"API": add_api()}, {"Notebooks": add_notebooks()}]
+    guides, api = add_guides(), add_api()
+    config.nav = [{"Home": "README.md"}, {"Guides": guides}, {"API": api}, {"Notebooks": add_notebooks()}]
     config.nav += [{"Results": RESULTS}, {"Project": project}]
     for name in ["README.md", *RESULTS, *project]:
         add_markdown(name)
     config.theme.static_templates.discard("404.html")  # only for servers: its links are absolute
+    for name in [*guides, *api, "CHANGELOG.md"]:
+        tags = "tags: [release]\n" * (name == "CHANGELOG.md")  # words that the search ranks first
+        pages[name] = f"---\nsearch: {{boost: 2}}\n{tags}---\n{pages[name]}"
     pages["README.md"] = f"---\nhide: [navigation]\n---\n{pages['README.md']}"
 
 
@@ -172,9 +200,16 @@ def on_env(env: Any, config: Any, files: Any) -> None:
         found = [f"{place}.{name}" for place in places] + [f"plr_jax.{rest}"] * (first in modules)
         is_variable = code in [*modules, "guides"] or (called != code and called.islower() and "." not in called)
         section = next((place for place in found if place in sections and not is_variable), None)
-        return f'<autoref identifier="{section}"><code>{code}</code></autoref>' if section else f"<code>{code}</code>"
+        if section is None:
+            return f"<code>{code}</code>"
+        _, is_guide, guide = section.partition("plr_jax.guides.")
+        text = guide_title(guide) if is_guide else f"<code>{code}</code>"
+        return f'<autoref identifier="{section}">{text}</autoref>'
 
     skipped = r'<(?:pre|a|h\d)\b(?: id="(plr_jax[^"]*)")?.*?</(?:pre|a|h\d)>'
     for page in contents:
         scope = "plr_jax"
-        page.content = re.sub(rf"{skipped}|(:\w+:)?<code>([^<]+)</code>", link, page.content, flags=re.DOTALL)
+        private = r'\n[^\n]*<span class="n">_\w+</span><span class="p">:</span>[^\n]*'  # parameters in signatures
+        page.content = re.sub(private, "", page.content)
+        if page.file.src_uri not in RESULTS:  # there, names are those of scripts
+            page.content = re.sub(rf"{skipped}|(:\w+:)?<code>([^<]+)</code>", link, page.content, flags=re.DOTALL)

@@ -88,7 +88,7 @@ def overview(
             "distances after a map change, den520d",
             f"any point, exact: {changes['with_workspace']['ms']:.0f} ms after the workspace's own change; "
             f"a new file, proven: {changes['built anew']['ms']:,.0f} ms",
-            f"D* Lite, one path: {changes['D* Lite']['ms']:.0f} ms; "
+            f"D\\* Lite, one path: {changes['D* Lite']['ms']:.0f} ms; "
             f"scikit-fmm, all cells: {changes['scikit-fmm']['ms']:.1f} ms",
             "about equal for one path; scikit-fmm for cells; **ours** for any point",
             "[living.json](results/living.json)",

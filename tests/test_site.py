@@ -89,6 +89,21 @@ def test_every_public_name_has_a_section_with_its_docstring(site):
                     assert f' id="{dotted}.__call__"' in text, dotted
 
 
+def test_results_have_one_bullet_and_functions_come_before_classes(site):
+    """By default, mkdocstrings makes a bullet of each line of *Returns*."""
+    num_lists = 0
+    for path in (site / "api").glob("*.html"):
+        for section in path.read_text().split("Returns:</span>")[1:]:
+            num_lists += 1
+            assert section.partition("</ul>")[0].count('<li class="doc-section-item') == 1, path
+    assert num_lists > 5
+    text = (site / "api" / "plrs.html").read_text()
+    order = [
+        text.index(f' id="plr_jax.{name}"') for name in ("construct", "evaluate", "PLR", "PLR.bounds", "PLR.dim")
+    ]
+    assert order == sorted(order) and "file_bytes" not in text
+
+
 def test_all_links_and_anchors_resolve(site, parsed):
     num_anchors = 0
     for path, page in parsed.items():
@@ -135,14 +150,26 @@ def test_pages_show_in_light_and_dark_without_errors_or_requests(site, width):
 
 
 @in_chromium
-def test_typed_search_shows_a_result(site):
+def test_no_code_of_a_guide_is_cut_off(site):
+    fits = "[...document.querySelectorAll('pre > code')].every(code => code.scrollWidth <= code.clientWidth)"
+    with Browser(1280, 900) as browser:
+        for page in (site / "plr_jax" / "guides").glob("*.html"):
+            browser.open(page)
+            assert browser.run(fits), page
+
+
+@in_chromium
+@pytest.mark.parametrize(
+    ("text", "page"),
+    [("cost_distance", "api/cost_distance"), ("release", "CHANGELOG"), ("gallery", "notebooks/index")],
+)
+def test_typed_search_shows_a_result(site, text, page):
     with Browser(1280, 900) as browser:
         browser.open(site / "index.html")
         browser.run("document.querySelector('.md-search__input').focus()")
-        browser.call("Input.insertText", text="cost_distance")
+        browser.call("Input.insertText", text=text)
         browser.key("Shift")  # the box reads its text when a key is let go
         browser.wait("document.querySelector('.md-search-result__item a') !== null")
-        assert "cost_distance" in browser.run("document.querySelector('.md-search-result__list').innerText")
         address = urlsplit(browser.run("document.querySelector('.md-search-result__item a').href"))
-        assert Path(unquote(address.path)).is_relative_to(site) and Path(unquote(address.path)).is_file()
+        assert Path(unquote(address.path)) == site / f"{page}.html"
         assert browser.errors == []

@@ -13,7 +13,7 @@ oracle = plr_jax.VisibilityGraph(workspace, goal=(9, 1))
 plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
 
 x = workspace.sample_free(1000, seed=0)  # points (n, 2), one a row
-distance = plr(x)  # (n,), workspace units; inf outside the domain
+distance = plr(x)  # (n,), workspace units
 lower, upper = plr.bounds(x)  # proven, also for the rounding of the query
 print(plr.num_bytes, plr.num_leaves, plr.max_error)
 print(plr_jax.metrics.error_map(plr, oracle, x))  # an ErrorReport; metrics.error_grid returns a picture of errors
@@ -30,8 +30,8 @@ distances are never too long. With `outside=True`, polygons lie around arcs: pat
 
 # Oracles
 
-A `plr_jax.DistanceFn` is any function from points `(n, dim)` to distances `(n,)`, with `inf` where the goal cannot be
-reached. An oracle runs on the host, in NumPy, so it cannot be called inside `jit`; a PLR can.
+A `plr_jax.DistanceFn` is any function from points `(n, dim)` to distances `(n,)`. An oracle runs on the host, in
+NumPy; a PLR runs inside `jit`, too. If there is no oracle, `plr_jax.solve_eikonal` builds a PLR.
 
 | oracle | distance |
 | --- | --- |
@@ -40,9 +40,6 @@ reached. An oracle runs on the host, in NumPy, so it cannot be called inside `ji
 | `plr_jax.GridGraph`, `plr_jax.VoxelGraph` | steps over a grid of 2 or 3 dimensions |
 | `plr_jax.GridField` | interpolation of a raster of distances computed elsewhere, for example by scikit-fmm |
 | `plr_jax.Euclidean`, `plr_jax.Dubins`, `plr_jax.ReedsShepp` | straight line; cars without obstacles |
-| `plr_jax.NearestGoal` | the nearest of several goals; `which(x)` tells which one |
-
-Without an oracle, `plr_jax.solve_eikonal` builds the PLR: see `plr_jax.guides.costs_and_volumes`.
 
 ```python
 import numpy as np
@@ -61,8 +58,7 @@ print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
 `plr_jax.construct` stops at the first limit that is reached: `max_bytes`, `max_leaves`, `max_depth`, or `tolerance`,
 the largest error in a cell. Leaves:
 
-- `"cone"`: the length of paths by way of one corner, exact in most cells. Only among polygons. Each corner takes
-  a few bytes of the file.
+- `"cone"`: the length of paths by one corner, exact in most cells. Only among polygons. A corner takes a few bytes.
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
@@ -72,17 +68,14 @@ the largest error in a cell. Leaves:
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
 existing PLR. Where walls touch only at a point, the distance jumps, and no error below half of the jump can be
-proven: thicken the wall there. `plr.lower` is never above the true distance, so A* with this heuristic stays optimal.
-The heuristic jumps between leaves, so A* must reopen nodes: see `plr_jax.guides.any_two_points`, also for more goals.
-
-Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
+proven: thicken the wall there. `plr.lower` is never above the true distance, so A* with this heuristic stays optimal
+if it reopens nodes: see `plr_jax.guides.any_two_points`. Ctrl-C returns the PLR built so far, with a
+`plr_jax.ConstructionInterrupted` warning.
 
 # Files and queries
 
 `plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
-`grad`. A PLR does not store walls, so a point in a wall, or just behind it, may get a number. Farther behind walls,
-rooms without a path to the goal get `inf`. `workspace.reachable(x, goal)` is exact. `outside="clamp"` extends a PLR
-beyond its domain. Far from the origin, 32-bit points are too coarse: give NumPy's 64-bit points, outside `jit`.
+`grad`. Far from the origin, 32-bit points are too coarse: give NumPy's 64-bit points, outside `jit`.
 
 ```python
 import jax
@@ -93,6 +86,15 @@ slope = jax.jit(jax.vmap(jax.grad(again)))(x)
 assert (again(x) == plr_jax.evaluate(plr, x)).all()
 plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 ```
+
+# What `inf` means
+
+- *No path to the goal.* PLRs of most oracles answer `inf` in rooms without a path to the goal, except within 1/64 of
+  the domain's width of points with a path. `workspace.reachable(x, goal)` has no such exception.
+- *Outside the domain.* A PLR answers `inf`; `outside="clamp"` extends a PLR beyond its domain.
+- *In an obstacle.* A `VisibilityGraph` answers `inf`. A PLR does not store walls and may answer a finite number.
+- *A blocked cost.* No path enters a place where a cost map or raster is `inf`.
+- *No proven upper bound.* Where `plr.bounds(x)` has `inf` and `plr(x)` has not, the distance may still be finite.
 
 # Several exits
 

@@ -50,10 +50,10 @@ class CostDistance:
         nearest: Index of the nearest source. The index is -1 where no source can be reached; -1 is the no-data value
             if this is a ``DataArray``. Over large rasters (fast marching), cells to which two sources are about
             equally near may have the index of the farther one. Where costs jump, that source may be much farther.
-        lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
-            ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 1.5 to 3.5 % of the mean
-            distance. The difference may be up to 100 % of the distance near sources, and if costs of neighbors differ
-            by a factor of 100 or more.
+        lower: Proven lower bound of the least cost at the centers of cells; None if not asked for.
+        upper: Proven upper bound: ``distance``, rounded up. In our experiments, ``upper - lower`` is on average 1.5
+            to 3.5 % of the mean distance. The difference may be up to 100 % of the distance near sources, and if
+            costs of neighbors differ by a factor of 100 or more.
         plr: A PLR of the distance, without bounds; None if not asked for. Its values in barriers are finite. In other
             cells from which no source can be reached, its values are ``inf``, except near cells with a path to a
             source.
