@@ -21,6 +21,7 @@ plr_jax.save(plr, "field.plr")
 
 - `plr_jax.guides.distance_function`: maps, exact distances, PLRs, files. `construct`, `certify`, `save`, `load`.
 - `plr_jax.guides.any_two_points`: `construct_pairs`, `construct_grid_pairs`, `construct_many`, `stack`.
+- `plr_jax.guides.heuristics`: `PLR.lower`, `PLRStack.lower`, `PairPLR.bounds`, for A*.
 - `plr_jax.guides.buildings`: `Building`, `Link`, `BuildingPLR`, `BuildingPairs`.
 - `plr_jax.guides.inside_jit`: `grid_distance`, on maps that are created inside `jit`.
 - `plr_jax.guides.changing_map`: `Workspace.with_obstacles`, `VisibilityGraph.with_workspace`.

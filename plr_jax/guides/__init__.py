@@ -1,7 +1,8 @@
 """Guides: one page for each task, with examples that run.
 
 - `plr_jax.guides.distance_function`: store the distance to a goal in kilobytes.
-- `plr_jax.guides.any_two_points`: distances between any two points, and to many goals; heuristics for A*.
+- `plr_jax.guides.any_two_points`: distances between any two points, and to many goals.
+- `plr_jax.guides.heuristics`: lower bounds as heuristics of A* and other searches.
 - `plr_jax.guides.buildings`: floors, stairs, lifts, one-way links.
 - `plr_jax.guides.inside_jit`: distances inside `jit`, also on maps that are created inside `jit`.
 - `plr_jax.guides.changing_map`: obstacles that come and go.

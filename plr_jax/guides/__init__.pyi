@@ -8,5 +8,6 @@ from . import costs_and_volumes as costs_and_volumes
 from . import distance_function as distance_function
 from . import follow_the_field as follow_the_field
 from . import gradients as gradients
+from . import heuristics as heuristics
 from . import inside_jit as inside_jit
 from . import teams as teams

@@ -55,28 +55,6 @@ graph = plr_jax.GridGraph(free, goal=(3.5, 3.5))  # the same distances, found by
 assert (to_dock(positions) == graph(positions)).all()
 ```
 
-# A heuristic for A*
-
-Proven lower bounds are admissible heuristics if all steps of A* are segments of free space, each of which costs at
-least its length:
-
-- to one goal `plr.lower(x)`, to a list of goals `stack.lower(index, x)`, of PLRs with `certified=True`;
-- between any two points `pairs.bounds(x, y)[0]`.
-
-Bounds of PLRs jump between leaves, so A* must reopen a node when it finds a shorter path to that node. Evaluate all
-nodes in one batch: a call with a single point takes 0.4 to 6 ms, or 0.1 to 0.3 ms with `plr.numpy().bounds(x)`.
-On a grid of 8 neighbors, the larger of the bound and the octile distance is a better heuristic than either:
-
-```python
-cells = np.argwhere(free)[:, ::-1] + 0.5  # centers (x, y) of all free cells, (n, 2)
-goal = cells[-1]
-octile = np.abs(cells - goal).max(axis=1) + (np.sqrt(2) - 1) * np.abs(cells - goal).min(axis=1)
-grid = plr_jax.Workspace.from_mask(free, tolerance=0)  # with other tolerances, walls move
-lower, _ = plr_jax.construct_pairs(grid, max_bytes=1024).bounds(cells, goal)
-heuristic = np.maximum(lower, octile)  # (n,)
-assert (heuristic <= plr_jax.GridGraph(free, goal, connectivity=8)(cells) + 1e-9).all()  # exact costs of A*
-```
-
 # Another metric
 
 `plr_jax.pairs.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a

@@ -67,9 +67,8 @@ the largest error in a cell. Leaves:
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
-existing PLR. Where walls touch only at a point, the distance jumps, and no error below half of the jump can be
-proven: thicken the wall there. `plr.lower` is never above the true distance, so A* with this heuristic stays optimal
-if it reopens nodes: see `plr_jax.guides.any_two_points`. Ctrl-C returns the PLR built so far, with a
+existing PLR. Where walls touch at a point, no error below half of the jump can be proven. `plr.lower` is never
+above the true distance: see `plr_jax.guides.heuristics`. Ctrl-C returns the PLR built so far, with a
 `plr_jax.ConstructionInterrupted` warning.
 
 # Files and queries
@@ -100,8 +99,7 @@ plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 
 `plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. If its
 oracles are `VisibilityGraph`s of one workspace, its PLRs of cones can be certified, and their files store the index.
-Other files do not. Represent a wide door by a row of goals: the error is at most half their spacing. For routes see
-`plr_jax.guides.follow_the_field`, for a PLR of each goal `plr_jax.guides.any_two_points`.
+Other files do not. Represent a wide door by a row of goals: the error is at most half their spacing.
 
 ```python
 exits = plr_jax.NearestGoal([oracle, oracle.with_goal((1, 5))])

@@ -192,7 +192,7 @@ class PLR(FileBacked):
 
         The function returns the first result of :meth:`bounds`. The heuristic is not consistent, because it jumps
         between leaves: A* must reopen a node when it finds a shorter path to that node. For a grid, see
-        :mod:`plr_jax.guides.any_two_points`. ``plr.lower.stack([a.lower, b.lower])`` combines the lower bounds of a
+        :mod:`plr_jax.guides.heuristics`. ``plr.lower.stack([a.lower, b.lower])`` combines the lower bounds of a
         team's robots. ``ValueError`` if the PLR has no proof.
         """
         self._require_band()
