@@ -14,8 +14,11 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from matplotlib.colors import LogNorm
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from experiments._planning import PLR_BYTES, SCENES, SMOKE_BYTES, solved_scene
 from experiments._runner import Section, run
@@ -47,7 +50,22 @@ def surface(seed: int, smoke: bool) -> dict[str, Any]:
 
 
 def draw_surface(results: dict[str, Any], output: Path) -> list[Path]:
-    ax = plot.plot_surface(of_text(results["plr"]))
+    # 1. Raise the corners of each leaf to its values, by points just inside of the corners; color by the mean height.
+    plr = of_text(results["plr"])
+    lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
+    corners = lo[:, None] + np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (hi - lo)[:, None]
+    inside = corners + 1e-3 * ((lo + hi)[:, None] / 2 - corners)
+    polygons = np.concatenate([corners, np.asarray(plr(inside))[..., None]], axis=2)  # (leaves, 4, 3)
+    heights = polygons[..., 2].mean(axis=1)
+    colors = ScalarMappable(Normalize(0.0, heights.max()), "viridis")
+    # 2. Draw them.
+    figure = Figure(figsize=(6.2, 4.6), dpi=200, facecolor="white")
+    ax = cast(Axes3D, figure.add_axes((0.07, 0.08, 0.68, 0.86), projection="3d"))
+    ax.add_collection3d(Poly3DCollection(polygons, facecolors=colors.to_rgba(heights), edgecolors="#0006", lw=0.3))
+    ax.set(xlim=(0, 1), ylim=(0, 1), zlim=(0, polygons[..., 2].max()), xlabel="x", ylabel="y")
+    ax.set_box_aspect((1, 1, 0.7))
+    ax.view_init(elev=32, azim=-125)
+    figure.colorbar(colors, cax=figure.add_axes((0.86, 0.2, 0.025, 0.6)), label="distance to the goal")
     ax.set_title(
         f"{results['leaves']} planes, {results['bytes']:,} bytes: max error {results['max']:.2g}, "
         f"mean {results['mean']:.2g}",

@@ -9,5 +9,4 @@ from ._paths import plot_samples as plot_samples
 from ._plane import plot_cells as plot_cells
 from ._plane import plot_contours as plot_contours
 from ._plane import plot_error as plot_error
-from ._plane import plot_surface as plot_surface
 from ._plane import plot_workspace as plot_workspace

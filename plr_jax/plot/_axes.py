@@ -2,19 +2,14 @@
 
 import math
 import os
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator
-from mpl_toolkits.mplot3d import Axes3D
 
-from plr_jax._types import PiecewiseFunction
 from plr_jax.geometry.box import Box, Slice
 
 INK = "#262626"
@@ -24,15 +19,6 @@ FONT_SIZE = 9  # points
 _PANEL = 4.2  # inches of the longer side of the plotted box
 DPI = 200  # pixels per inch
 SQUARE = Box((0, 0), (1, 1))  # gives pictures whose axes have different units a square shape
-
-
-@runtime_checkable
-class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function, such as a PLR, in which each piece (leaf) covers one or more boxes of the domain."""
-
-    @property
-    def leaf_of_box(self) -> Any: ...
-    def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, " n"]: ...
 
 
 def save(ax: Axes, path: str | os.PathLike[str]) -> None:
@@ -57,7 +43,7 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
         if is_angle(domain, number):
             axis.set_major_locator(MultipleLocator(math.pi / 2))
             axis.set_major_formatter(FuncFormatter(_in_multiples_of_pi))
-    for axis in [ax.xaxis, ax.yaxis] + ([ax.zaxis] if isinstance(ax, Axes3D) else []):
+    for axis in (ax.xaxis, ax.yaxis):
         axis.label.set(fontsize=FONT_SIZE, color=INK)
     ax.tick_params(labelsize=FONT_SIZE - 1, colors=INK, width=0.6, length=3)
 
@@ -94,21 +80,8 @@ def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], 
     return Figure(figsize=tuple(total), dpi=dpi, facecolor="white").add_axes((*(before / total), *(size / total)))
 
 
-def new_axes_3d(box: Box, label: str) -> Axes3D:
-    ax = Figure(figsize=(6.2, 4.6), dpi=DPI, facecolor="white").add_axes((0.07, 0.08, 0.68, 0.86), projection="3d")
-    assert isinstance(ax, Axes3D)
-    ax.set_box_aspect((*(box.width / box.width.max()), 0.7))
-    ax.view_init(elev=32, azim=-125)
-    ax.set_zlabel(label, labelpad=6)
-    _label_axes(ax, box, (0, 1))
-    return ax
-
-
 def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
-    style_colorbar(ax.figure.colorbar(mappable, cax=ax.inset_axes((1.035, 0.0, 0.045, 1.0)), extend=extend), label)
-
-
-def style_colorbar(bar: Colorbar, label: str) -> None:
+    bar = ax.figure.colorbar(mappable, cax=ax.inset_axes((1.035, 0.0, 0.045, 1.0)), extend=extend)
     if not isinstance(bar.norm, LogNorm):
         bar.ax.ticklabel_format(axis="y", scilimits=(-2, 4), useMathText=True)
     bar.ax.yaxis.get_offset_text().set(fontsize=FONT_SIZE - 1, color=INK)

@@ -1,4 +1,4 @@
-"""Draw workspaces, and functions of the plane or of a slice: as a surface, as contours, as cells, or as errors."""
+"""Draw workspaces, and functions of the plane or of a slice: as contours, as cells, or as errors."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -8,19 +8,16 @@ import shapely
 from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
-from plr_jax.geometry.boundary import polygons_of, triangulate
+from plr_jax.geometry.boundary import polygons_of
 from plr_jax.geometry.box import Box, Slice
 from plr_jax.geometry.workspace import Workspace, joined_parts
 from plr_jax.plot import _axes
@@ -32,68 +29,6 @@ OBSTACLE = "#ececec"
 _ERROR_COLORS = colormaps["inferno"].resampled(12)  # four colors a decade: readable, and small files
 _NUM_LEVELS = 16  # of contours, at most
 _ERROR_RANGE = 1e-3  # smallest error of the color scale, as a share of the largest
-
-
-def plot_surface(
-    plr: _axes.FunctionsOfLeaves,
-    ax: Axes3D | None = None,
-    *,
-    workspace: Workspace | None = None,
-    label: str = _axes.DISTANCE,
-    unit: str = _axes.WORKSPACE_UNITS,
-) -> Axes3D:
-    """Draw a 2-D PLR as a surface of separate polygons, one per leaf, as in Fig. 1 of the paper.
-
-    Leaves without a finite value are left out. With a workspace, cells are clipped to its free space. Arguments are
-    as for :func:`plot_contours`. ``ValueError`` is raised if the PLR is not 2-D, or no leaf has a finite value.
-    """
-    if plr.domain.dim != 2:
-        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
-    if not (pieces := _pieces(plr, workspace)):
-        raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
-    # 1. A polygon has the color of its mean height.
-    heights = np.array([piece[:, 2].mean() for piece in pieces])
-    colors = ScalarMappable(Normalize(0.0, heights.max()), _axes.DISTANCE_COLORS)
-    if ax is None:
-        ax = _axes.new_axes_3d(plr.domain, f"{label} ({unit})")
-        bar = ax.figure.colorbar(colors, cax=ax.figure.add_axes((0.86, 0.2, 0.025, 0.6)))
-    else:
-        bar = ax.figure.colorbar(colors, ax=ax, shrink=0.6, pad=0.1)
-    _axes.style_colorbar(bar, f"{label} ({unit})")
-    # 2. The more lines, the paler they are, so that they do not blacken the surface.
-    lines = (0, 0, 0, min(0.45, 200 / len(pieces)))
-    surface = Poly3DCollection(pieces, facecolors=colors.to_rgba(heights), edgecolors=lines, linewidths=0.3)
-    ax.add_collection3d(surface)
-    xlim, ylim = np.stack([plr.domain.lo, plr.domain.hi], axis=1)
-    ax.set(xlim=xlim, ylim=ylim, zlim=(0.0, max(piece[:, 2].max() for piece in pieces)))
-    return ax
-
-
-def _pieces(plr: _axes.FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return a PLR's surface as polygons in space, ``(corners, 3)``: cells, raised to the values of their leaves.
-
-    With a workspace, the polygons are the free parts of cells. Polygons with a value that is not finite are left out.
-    """
-    # 1. List the polygons of each cell. A box of the partition gives one cell, so `leaf_of_box` is the cell's leaf.
-    cells = _cells_of(plr, Slice.of(plr.domain, None))
-    parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
-    pieces = [corners for parts_of_cell in parts for corners in parts_of_cell]
-    if not pieces:
-        return []
-    # 2. Evaluate the leaf of each corner, in one call for all corners, and raise the corners to these heights.
-    points = np.concatenate(pieces)
-    leaf = np.repeat(plr.leaf_of_box, [sum(map(len, parts_of_cell)) for parts_of_cell in parts])
-    raised = np.column_stack([points, plr.values_in_leaves(leaf, points)])
-    placed = np.split(raised, np.cumsum([len(corners) for corners in pieces])[:-1])
-    return [piece for piece in placed if np.isfinite(piece).all()]
-
-
-def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
-    solid: list[Corners] = []
-    for part in polygons_of(shapely.intersection(shapely.Polygon(cell), workspace.free_space)):
-        # Polygons in space cannot have holes: triangulate the rare cell around an obstacle.
-        solid += list(triangulate(part)) if part.interiors else [shapely.get_coordinates(part)[:-1]]
-    return solid
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = _axes.WORKSPACE_UNITS) -> Axes:

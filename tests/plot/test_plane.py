@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from plr_jax import Box, Workspace, construct, plot
-from plr_jax.plot._plane import _pieces
 
 # A wall across the lower half of the box [0, 2] x [0, 1], and a hole that one cell surrounds.
 WALL, HOLE = [(0.9, 0.0), (1.1, 0.0), (1.1, 0.5), (0.9, 0.5)], [(0.3, 0.3), (0.6, 0.3), (0.6, 0.6), (0.3, 0.6)]
@@ -24,10 +23,6 @@ class ThreeCells:
 
     domain: Box = field(default_factory=lambda: Box((0, 0), (2, 1)))
     leaf_boxes = [(0, 0), (1, 0), (1, 0.5)], [(1, 1), (2, 0.5), (2, 1)]
-    leaf_of_box = np.arange(3)
-
-    def values_in_leaves(self, leaf, x):
-        return np.choose(leaf, [x[:, 0] + 2 * x[:, 1], np.full(len(x), 3.0), np.full(len(x), np.inf)])
 
     def __call__(self, x):
         left = x[..., 0] + 2 * x[..., 1]
@@ -73,8 +68,6 @@ def test_periodic_domain_is_drawn_from_end_to_end():
     np.testing.assert_allclose(image.get_array(), exact, atol=0.1)
     y = np.concatenate(cell_outlines(plot.plot_cells(plr)))[:, 1]
     assert y.min() == -1 and y.max() == 1
-    surface = plot.plot_surface(plr, label="time", unit="s")
-    assert surface.get_ylim() == (-1, 1) and surface.get_zlabel() == "time (s)"
 
 
 def test_values_inside_obstacles_do_not_affect_scale():
@@ -147,26 +140,6 @@ def test_error_picture_marks_missing_answers():
     assert len(plot.plot_error(np.nan_to_num(errors, posinf=0.0), WORKSPACE).images) == 1
 
 
-def test_surface_pieces_are_leaves_cut_to_free_space():
-    first, second = _pieces(ThreeCells(), None)
-    np.testing.assert_allclose(first, [[0, 0, 0], [1, 0, 1], [1, 1, 3], [0, 1, 2]])
-    np.testing.assert_allclose(second[:, 2], 3.0)
-    area = sum(shapely.Polygon(piece[:, :2]).area for piece in _pieces(ThreeCells(), WORKSPACE))
-    # The left cell less the hole and half the wall; the lower right one less the other half.
-    assert area == pytest.approx((1 - 0.09 - 0.05) + (0.5 - 0.05))
-    left_blocked = Workspace(((0, 0), (2, 1)), [[(-1, -1), (1, -1), (1, 2), (-1, 2)]])
-    (piece,) = _pieces(ThreeCells(), left_blocked)
-    np.testing.assert_allclose(sorted(piece[:, 0]), [1, 1, 2, 2])
-    for workspace in (None, WORKSPACE):
-        (surface,) = plot.plot_surface(ThreeCells(), workspace=workspace).collections
-        assert len(surface.get_facecolor()) == len(_pieces(ThreeCells(), workspace))
-
-
-class Unanswered(ThreeCells):
-    def values_in_leaves(self, leaf, x):
-        return np.full(len(x), np.inf)
-
-
 SOLID = ThreeCells(domain=Box((0, 0, 0), (1, 1, 1)))
 UNANSWERED_QUARTER = Workspace(((1, 0.5), (2, 1)))
 
@@ -175,8 +148,6 @@ def test_undrawable_input_raises():
     for draw, message in [
         (lambda: plot.plot_cells(SOLID), "A picture has two axes, so at must fix 1 of 3 coordinates, got 0"),
         (lambda: plot.plot_contours(SOLID), "A picture has two axes, so at must fix 1 of 3 coordinates, got 0"),
-        (lambda: plot.plot_surface(SOLID), "Only a 2-D PLR can be drawn as a surface, got one of 3"),
-        (lambda: plot.plot_surface(Unanswered()), "no leaf in free space has"),
         (lambda: plot.plot_contours(ThreeCells(), workspace=UNANSWERED_QUARTER), "no point in free space has"),
         (lambda: plot.plot_error(np.full((2, 2), np.nan), WORKSPACE), "no error is finite"),
         (lambda: plot.plot_error(np.ma.masked_less([[0.1]], 1), WORKSPACE), "numbers .*, and some are masked"),
@@ -192,7 +163,6 @@ def test_saved_pictures_are_opaque_and_complete(tmp_path):
         "contours": plot.plot_contours(ThreeCells(), workspace=WORKSPACE, resolution=60),
         "cells": plot.plot_cells(ThreeCells(), workspace=WORKSPACE),
         "error": plot.plot_error(np.array([[0.0, 0.00123], [0.00254, 0.00377]]), WORKSPACE),
-        "surface": plot.plot_surface(ThreeCells(), workspace=WORKSPACE),
     }
     assert dict(mpl.rcParams) == before
     for name, ax in pictures.items():
@@ -207,12 +177,9 @@ def test_saved_pictures_are_opaque_and_complete(tmp_path):
 
 
 def test_pictures_are_drawn_on_given_axes():
-    figure = Figure()
-    flat, solid = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
+    flat = Figure().add_subplot()
     assert plot.plot_error(np.array([[0.1]]), WORKSPACE, flat) is flat
     assert flat.get_xlim() == (0, 2)
-    assert plot.plot_surface(ThreeCells(), solid) is solid
-    assert len(figure.axes) == 3  # the two given and a color bar for the surface
     ax = plot.plot_contours(ThreeCells(), resolution=20)
     assert plot.plot_cells(ThreeCells(), ax) is ax
     assert plot.plot_workspace(WORKSPACE, ax) is ax
