@@ -185,7 +185,7 @@ class Reach:
     def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether each box holds a cut-off point, but no point that reaches the goal.
 
-        The second test takes a slightly larger box, because a query rounds points.
+        The box in which no point may reach the goal is slightly larger, because a query rounds points.
         """
         # Rounding may place points just outside of a box inside.
         holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
@@ -193,7 +193,7 @@ class Reach:
         return holds
 
     def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether each box holds a point that reaches the goal, and also passes the test ``far``.
+        """Return whether each box holds a point that reaches the goal, and a cut-off point far from it (``far``).
 
         The result is False for boxes with a diagonal of at most 1/64, in fractions of the domain.
         """

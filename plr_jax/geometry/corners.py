@@ -103,12 +103,15 @@ class CornerVisibility:
 
     @property
     def places(self) -> Int[np.ndarray, " places"]:
-        """The indices of the places among the corners."""
+        """The indices, among the corners, of the *places*: points at which paths may turn in any direction."""
         return np.arange(len(self.corners.points))[len(self.corners.points) - self.num_places :]
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
-        """The corner at each vertex of the boundary, -1 for none; places do not count."""
+        """The index of the corner at each vertex of the boundary; -1 for none.
+
+        Places (see the class) do not count as corners here.
+        """
         return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
     def in_sight(self, triangulation: Triangulation, views: Viewpoints) -> ViewsInSight:
@@ -206,7 +209,10 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Vectors along the right side and along the left side of each cone; 0 if the cone is the whole plane."""
+        """Vectors along the right side and along the left side of each corner's cone (see the class).
+
+        Both are 0 if the cone is the whole plane.
+        """
         #     left side \      / right side
         #                \cone/
         #                 \  /
@@ -295,7 +301,8 @@ class TurnRegions(NamedTuple):
     def of(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> "TurnRegions":
         """List, for each triangle of free space, the turn points that see a part of the triangle within their cone.
 
-        ``views`` are the turn points as viewpoints.
+        The cone of a turn point holds the directions from which a shortest path can come to turn there. ``views`` are
+        the turn points as viewpoints.
         """
         visits = triangles_within(triangulation, views, *turns.bounds)
         return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))

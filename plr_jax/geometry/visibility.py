@@ -91,18 +91,18 @@ class Viewpoints:
         return joins
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the viewpoint along the right wall of each sector."""
+        """Return, for each sector (see the class), a vector from the viewpoint along its right wall."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the viewpoint along the left wall of each sector."""
+        """Return, for each sector (see the class), a vector from the viewpoint along its left wall."""
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, " sectors"]:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, " sectors"]:
-        """Return the vertex at the far end of each sector's left wall."""
+        """Return, for each sector (see the class), the vertex at the far end of its left wall."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
@@ -274,7 +274,7 @@ class VisibilityTable(NamedTuple):
 
     @property
     def blur(self) -> float:
-        """Upper bound of the rounding errors in ``key``."""
+        """Upper bound of the rounding errors in ``key``, the directions at which intervals start, as numbers."""
         return _key_error(len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, " n"]:
@@ -342,7 +342,7 @@ def _keys(view: Indices, cut: Vectors, directions: Rays) -> Numbers:
 
 
 def _key_error(num_views: int) -> float:
-    """Return an upper bound of the rounding errors of keys."""
+    """Return an upper bound of the rounding errors of keys, the numbers that :func:`_keys` returns."""
     return _BLUR + np.spacing(8.0 * num_views)
 
 
@@ -429,7 +429,8 @@ def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vector
 def _exact_order(view: Indices, key: Numbers, directions: Rays, num_views: int) -> Indices:
     """Return the indices that sort directions by viewpoint, then counterclockwise from the viewpoint's cut.
 
-    Keys decide, or an exact test where keys are equal up to rounding. ``directions`` are vectors ``(dx, dy)``.
+    The order is that of ``key`` (see :func:`_keys`) or, where keys are equal up to rounding, of an exact test.
+    ``directions`` are vectors ``(dx, dy)``.
     """
     # Swap neighbors in the wrong order: row k of `order` and row k + 1, for each k in `near`. Swaps of one round must
     # not overlap. Test the neighbors of swapped rows again.

@@ -139,10 +139,10 @@ class VoxelGrid:
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
         """Contacts: edges and corners of voxels around which free voxels are not all connected through common faces.
 
-        An edge along z is normal to x and y, and a corner to all axes. Each item is a pair: the axes to which the
-        contacts of this item are normal, and a table that counts these contacts in ranges of indices. Along a normal
-        axis, index ``k`` of the table is the face between voxels ``k`` and ``k + 1``. Along any other axis, index
-        ``k`` is voxel ``k``.
+        Each item is a pair: axes, and a table that counts contacts in ranges of indices. The axes ``(0, 1)`` stand
+        for edges along z, all axes for corners. In the table of edges along z, entry ``[i, j, k]`` is the edge of
+        voxels number ``k`` along z that lies between voxels ``i`` and ``i + 1`` along x, and ``j`` and ``j + 1``
+        along y. Tables of other contacts are indexed alike.
         """
         several = (across for num in range(2, self.dim + 1) for across in combinations(range(self.dim), num))
         contacts = ((across, are_disconnected(self.padded, across)) for across in several)

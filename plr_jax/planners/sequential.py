@@ -73,8 +73,8 @@ def _positions_at(
 ) -> Float[np.ndarray, "corners 2"]:
     """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp.
 
-    ``normal`` is the unit normal of the wall that begins at the corner. ``turn`` is the angle, in radians, from there
-    to the normal of the wall that ends at the corner. It is positive at convex corners of obstacles.
+    ``normal`` is the unit normal of the wall that begins at the corner. ``turn`` is the angle, in radians, from this
+    normal to the normal of the wall that ends at the corner. It is positive at convex corners of obstacles.
     """
     # Let r be the radius. The center passes along lines at the distance r from both walls. These lines meet in the
     # direction halfway between the walls' normals, at r / cos(turn / 2) from the corner. At a sharp corner, this is
