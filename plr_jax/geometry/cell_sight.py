@@ -261,7 +261,7 @@ class CellSources:
         return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, " n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether convex piece ``piece[i]`` (an index) holds each of the points ``points[i]``, up to a tolerance."""
+        """Return whether convex piece ``piece[i]`` holds each of the points ``points[i]``, up to a tolerance."""
         return convex_pieces.contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
 
     def see(self, source: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:

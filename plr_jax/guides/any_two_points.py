@@ -101,7 +101,8 @@ A stack is fastest if all its PLRs have the same leaf model. If only the nearest
 
 The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use
 `pairs.to(goal)`, the distance to one goal. The header of a `plr_jax.GridPairs` defines
-`int32_t grid_steps(uint32_t from, uint32_t to)`, which reads tables from a separate file, with bytes `header.table`.
+`int32_t grid_steps(uint32_t from, uint32_t to)`, which reads tables from a separate file: write the bytes
+`header.table` to it.
 
 ```python
 from pathlib import Path

@@ -66,7 +66,7 @@ print(plr_jax.metrics.error_map(plr, truth, nodes[space.is_free(nodes)][::100]))
 
 # Volumes
 
-Voxels are `free[x, y, z]`, rasters `[row, column]`. `scenes.read_volume` reads `.npy`, `.3dmap`; trimesh voxelizes.
+Voxels are `free[x, y, z]`, rasters `[row, column]`. `scenes.read_volume` reads files; trimesh voxelizes meshes.
 
 ```python
 free = np.ones((12, 12, 8), bool)

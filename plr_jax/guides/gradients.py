@@ -117,5 +117,5 @@ print(loss, tunable.to_plr(max_bytes=512))  # to_plr makes a PLR for a file, wit
   a variance, first replace `inf`, or gradients are NaN: `ok = jnp.isfinite(d)`, then `d = jnp.where(ok, d, 0)`.
 - **Polygons that cross themselves**, after free moves of vertices: distances are wrong. Check `shapely.is_valid`.
 - **Second derivatives** jump where a point begins to see another corner.
-- **Planes** jump between leaves, gradients of continuous leaves, too. Those of smooth leaves jump across walls only.
+- **Leaves**: planes jump from leaf to leaf; so do gradients of continuous leaves, and of smooth leaves at walls.
 """
