@@ -85,12 +85,14 @@ def descend(
 
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
-    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The field only ranks the edges between
-    corners. So each start reaches the goal if that is possible, and path lengths say little about a field.
+    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The cost-to-go only ranks the edges
+    between corners. So each start from which a path exists reaches the goal, and path lengths say little about the
+    errors of the cost-to-go.
 
-    *Other costs and spaces*: paths take finite steps to the visible point where the field falls most per cost of the
-    step. Then vertices are skipped or shifted to reduce the cost. A slower search escapes from local minima, and
-    gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few tenths of a second.
+    *Other costs and spaces*: paths take finite steps to the visible point where the cost-to-go falls most per cost of
+    the step. Then vertices are skipped or shifted to reduce the cost. From local minima, a slower search finds a way
+    on, or gives up (STUCK) after it has expanded 1,000 nodes. With a cost map, each start takes a few tenths of a
+    second.
 
     Args:
         distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in

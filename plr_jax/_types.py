@@ -96,9 +96,9 @@ class Sources:
 
     @staticmethod
     def of_graph(points: Points, distances: Distances, parents: Int[np.ndarray, " v"], *roots: Any) -> "Sources":
-        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next vertex.
+        """Return the vertices of a graph as :class:`Sources`; ``parents`` are negative where there is no next vertex.
 
-        The optional arguments ``roots`` are the fields ``root_numbers`` and ``exits``.
+        The optional arguments ``roots`` are the fields ``root_numbers`` and ``exits`` of the result.
         """
         return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents), *roots)
 

@@ -74,7 +74,7 @@ class Boundary(PickledWithoutCaches):
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
     def touches_contact(self, shapes: Any, distance: float) -> Bool[np.ndarray, " n"]:
-        """Return whether each Shapely shape comes within ``distance`` of a contact."""
+        """Return whether each Shapely shape comes within ``distance`` of a contact (see :attr:`contacts`)."""
         touches = np.zeros(len(shapes), dtype=bool)
         touches[self.contact_tree.query(shapes, predicate="dwithin", distance=distance)[0]] = True
         return touches
@@ -280,7 +280,7 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
 
 def _repaired(name: str, shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
-    """Make an invalid Shapely polygon valid: return the union of its parts, each part without its holes.
+    """Make an invalid Shapely polygon valid: return the union of its polygons, each without its holes.
 
     ``ValueError`` is raised if a ring crosses itself; the message calls the polygon ``name``.
     """

@@ -149,7 +149,7 @@ class FamilyCells(NamedTuple):
 
 
 class FamilyGoal(NamedTuple):
-    """The data of one goal that :func:`cells_of_goals` needs."""
+    """A goal for :func:`cells_of_goals`: the distances of corners to it, where paths turn, and what it sees."""
 
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn

@@ -33,7 +33,7 @@ class ReflexCorners:
     slack: float  # tolerance of tests on which side of a line through a corner a point lies
 
     def with_points(self, points: Float[np.ndarray, "n 2"], index: int = 0) -> "ReflexCorners":
-        """Insert points, at which paths may turn in any direction, before the corner with the given index."""
+        """Return the corners with ``points``, where paths may turn in any direction, inserted at ``index``."""
         at = [index] * len(points)
         return ReflexCorners(np.insert(self.points, at, points, 0), np.insert(self.walls, at, 0.0, 1), self.slack)
 
@@ -115,7 +115,7 @@ class CornerVisibility:
         return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
     def in_sight(self, triangulation: Triangulation, views: Viewpoints) -> ViewsInSight:
-        """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
+        """Return the visibility polygons of viewpoints, and pairs of a viewpoint and a corner that see each other."""
         table, (view, vertex) = visibility_of(triangulation, views)
         return table, self.mutual_pairs(table, view, self.of_vertex[vertex])
 

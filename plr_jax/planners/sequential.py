@@ -184,7 +184,7 @@ def sequential_path(problem: Problem) -> JointPath | None:
 
 
 def _comes_within(route: Route, place: complex, reach: float) -> bool:
-    """Return whether a route comes nearer than ``reach`` to the point ``place``; points are complex numbers."""
+    """Return whether a robot's route comes nearer than ``reach`` to a point ``place``, a complex number."""
     for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2
