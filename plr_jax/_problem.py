@@ -90,7 +90,7 @@ def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np
 
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Group robots by shape and rotation weight; return the indices of the robots with each such pair."""
+    """Return, for each pair of a shape and a rotation weight, the indices of the robots that have both."""
     kinds = {}
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds.setdefault(kind, []).append(i)

@@ -32,7 +32,7 @@ class Progress(AbstractContextManager["Progress"]):
             self._bar.close()
 
     def update(self, count: int = 1, note: str = "") -> None:
-        """Add to the count; a ``note`` replaces the text that is shown after the count."""
+        """Add to the count of finished work; a ``note`` replaces the text that the bar shows after the count."""
         if self._bar is not None:
             self._bar.postfix = note or self._bar.postfix
             self._bar.update(count)

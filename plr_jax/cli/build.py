@@ -34,7 +34,7 @@ def measure_error(plr: Any, oracle: Any, workspace: Any) -> tuple[Any, str]:
 
 
 def cost_of(content: Any, compact: bool = False) -> list[str]:
-    """Describe what the C header of a PLR takes, in flash and on the stack of a Cortex-M4, in a few lines."""
+    """Describe in a few lines how many bytes a PLR's C header takes in flash and on the stack of a Cortex-M4."""
     from plr_jax.plr.portable.c import cost_in_c
 
     num_floors = len(content.floors.lo) if hasattr(content, "floors") else 0

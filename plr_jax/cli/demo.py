@@ -47,7 +47,7 @@ def run(output: Path) -> None:
 
 
 def _maze(file: Path) -> None:
-    """Build, plot and view the distance to a goal in a maze by the commands; measure its speed."""
+    """Build, plot and view the distance to a goal in a maze with commands of ``plr-jax``; measure its speed."""
     # 1. Build a PLR, measure its error and write its file, by the command `build`; then load the file.
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]

@@ -122,7 +122,7 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, " n"]:
-    """Return, for each column, the squared distance between the motion from ``q0`` to ``q1`` and a ``voxel``."""
+    """Return the squared distance of each straight motion, from a column of ``q0`` to ``q1``, to a ``voxel``."""
     # At the time t in [0, 1] of a motion, let excess_a(t) be how far the point is beyond the voxel along axis a, with
     # a sign; 0 if it is between the faces lo_a and hi_a. Half the derivative of the squared distance, the slope
     # sum_a change_a * excess_a(t), never decreases in t, and is linear between the times at which an axis crosses a

@@ -243,7 +243,7 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
 
 
 def flatten_collections(shapes: Any, kind: type = GeometryCollection) -> Iterator[Any]:
-    """Yield the items of ``shapes``, such as Shapely geometries; parts of a ``kind`` of geometry replace it."""
+    """Yield the geometries in ``shapes``; parts replace each geometry of the class ``kind``, a collection."""
     items: Any = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     for shape in items:
         yield from flatten_collections(shape.geoms, kind) if isinstance(shape, kind) else (shape,)

@@ -141,7 +141,7 @@ class _Cones:
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Return the first cones of sight: from each viewpoint through sides of the triangles that contain it."""
+    """Return the first :class:`_Cones`: from each viewpoint through sides of the triangles that contain it."""
     # 1. Viewpoints without sectors look through all three sides of their triangle.
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)
     triangle, _ = triangulation.locate(views.points[around])
@@ -170,7 +170,7 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
 
 
 def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Expand cones of sight: yield cones that end at walls, pairs (viewpoint, vertex seen), and triangles visited."""
+    """Expand :class:`_Cones`: yield those that end at walls, pairs (viewpoint, vertex seen), and triangles visited."""
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
         # 1. Cones through walls end. The others go on.
@@ -335,7 +335,11 @@ class VisibilityTable(NamedTuple):
 
 
 def _keys(view: Indices, cut: Vectors, directions: Rays) -> Numbers:
-    """Return 4 times the viewpoint's index, plus the pseudo-angle of each direction from the viewpoint's cut."""
+    """Return keys: 4 times the viewpoint's index, plus the pseudo-angle of a direction from the viewpoint's cut.
+
+    Keys sort directions by viewpoint, then counterclockwise. A cut is a direction in which the viewpoint sees no
+    vertex. For pseudo-angles, see :func:`pseudo_angle`.
+    """
     # The direction d has the coordinates (c . d, c x d) along and across the cut c.
     (cx, cy), (dx, dy) = cut[view].T, directions
     return 4.0 * view + pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx)
@@ -396,7 +400,10 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
 
 
 def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
-    """Choose a cut for each viewpoint, a direction in which it sees no vertex, from the cones that end at walls."""
+    """Choose a cut for each viewpoint: a direction in which it sees no vertex.
+
+    ``cones`` are the viewpoints' cones of sight that end at walls.
+    """
     # 1. The middle of the gap after the first sector. If that is the only sector, the gap ends where it opens.
     #
     #       second sector \  gap  / first sector

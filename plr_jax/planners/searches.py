@@ -150,7 +150,7 @@ class Searches:
 
     @property
     def num_bytes_needed(self) -> int:
-        """Additional memory, in bytes, that the searches need that have not begun."""
+        """Additional memory, in bytes, for the searches that have not begun yet."""
         return sum(SEARCHES[name].num_bytes_needed(self.joint) for name in self.names if name not in self.running)
 
 

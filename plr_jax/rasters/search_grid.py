@@ -51,7 +51,7 @@ class SearchGrid(NamedTuple):
         return self.unit * self.box.width / np.multiply(self.shape, self.parts)[::-1]
 
     def divided(self, raster: Raster) -> Parts:
-        """Return, for each part of the grid, the value of the raster's cell that it divides."""
+        """Return, for each part into which the grid divides a cell of the raster, the cell's value."""
         if self.parts == (1, 1):
             return raster
         return raster.repeat(self.parts[0], axis=0).repeat(self.parts[1], axis=1)
@@ -67,7 +67,10 @@ class SearchGrid(NamedTuple):
         return ndimage.map_coordinates(beside, np.meshgrid(*along, indexing="ij"), order=1)
 
     def at_centers(self, table: np.ndarray) -> np.ndarray:
-        """Return the values at the centers of the raster's cells, from values at the centers of all parts."""
+        """Return the values at the centers of the raster's cells, from a table for the centers of the grid's parts.
+
+        A part is one of the equal parts into which the grid divides a cell.
+        """
         (rows, columns), parts = self.middle_of((0, 0)), self.parts
         return table[rows :: parts[0], columns :: parts[1]]
 

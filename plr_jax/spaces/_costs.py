@@ -137,7 +137,7 @@ class LipschitzCost:
         return np.maximum(factor, self.least), rounding
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Numbers, Numbers]:
-        """Return lower and upper bounds of the factor of the motion cost over boxes, from its values at centers."""
+        """Return bounds of the factor of the motion cost over boxes, from its values at centers and ``lipschitz``."""
         middle, rounding = self._factors((lo + hi) / 2)
         # `cost_fn` may round configurations to the precision of its answers. It then evaluates a point that is up to
         # rounding * |center| away from the center. In the box, the factor differs from the factor at this point by
