@@ -97,7 +97,7 @@ class CellCosts:
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
     """Bound the cost of motions in each cell of a mesh.
 
-    The bounds are constant in each cell and, unless costs depend on the direction, also linear in each cell.
+    Each cell has constant bounds and, unless costs depend on the direction, also linear bounds, which are tighter.
     """
     # Let x be a position relative to the cell's middle, from -1/2 to 1/2 along each axis, and x_j the middle of part
     # j of the cell, in which lower_j and upper_j bound the factor. Along each axis,

@@ -170,7 +170,7 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
 
 
 def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Expand :class:`_Cones`: yield those that end at walls, pairs (viewpoint, vertex seen), and triangles visited."""
+    """Expand :class:`_Cones`: yield cones that end at walls, pairs (viewpoint, vertex seen), triangles visited."""
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
         # 1. Cones through walls end. The others go on.

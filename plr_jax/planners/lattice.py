@@ -467,14 +467,14 @@ class JointLattice:
         return np.array([cost[lattice.start] for cost, lattice in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Return the joint configurations of joint states (see the class); robots without a heading keep their start's."""
+        """Return the joint configurations of joint states; a robot without a heading keeps that of its start."""
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
         for i, lattice in enumerate(self.lattices):
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
         return q
 
     def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, " n"]]:
-        """Return the joint states to which the robots' primitives (lattice motions or stays) lead, and their total costs."""
+        """Return the joint states to which the robots' primitives (motions or stays) lead, and the sums of their costs."""
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)

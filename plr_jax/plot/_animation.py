@@ -201,7 +201,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
 
 
 def _add_robot(ax: Axes, problem: Problem, i: int, so_far: Float[np.ndarray, "steps dof"]) -> list[Artist]:
-    """Draw robot ``i`` at the end of its path so far, with a trail along the path, and its number if there is room."""
+    """Draw robot ``i`` at the end of its path so far, a trail along the path, and its number if there is room."""
     q = so_far[-1]
     trail = ax.plot(*so_far[:, :2].T, color=_paths.color_of(i), linewidth=2.0, solid_joinstyle="round", zorder=_TRAIL)
     artists = [*trail, *_paths.add_body(ax, problem, i, q)]
