@@ -474,7 +474,7 @@ class JointLattice:
         return q
 
     def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, " n"]]:
-        """Return the joint states to which the robots' primitives (motions or stays) lead, and the sums of their costs."""
+        """Return the joint states to which the robots' primitives (motions or stays) lead, and their total costs."""
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
