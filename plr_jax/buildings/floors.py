@@ -270,7 +270,10 @@ class OnFloors:
 
     @classmethod
     def of_parts(cls, floors: Floors, plane: Any) -> Self:
-        """Join the parts of a file in an object; ``ValueError`` if ``plane`` has another domain than ``floors``."""
+        """Make an object from the two parts of a building's file: floors, and a function in the plane of all floors.
+
+        ``ValueError`` if ``plane.domain`` differs from ``floors.domain``.
+        """
         ours, given = ((box.lo, box.hi) for box in (floors.domain, plane.domain))
         if not np.array_equal(ours, given):
             raise ValueError("its floors do not lie in its domain")

@@ -139,10 +139,11 @@ class VoxelGrid:
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
         """Contacts: edges and corners of voxels around which free voxels are not all connected through common faces.
 
-        An edge along z is normal to x and y, and a corner to all axes. Each item is a pair: the axes to which the
-        contacts of this item are normal, and a table that counts these contacts in ranges of indices. Along a normal
-        axis, index ``k`` of the table is the face between voxels ``k`` and ``k + 1``. Along any other axis, index
-        ``k`` is voxel ``k``.
+        Each item is a pair ``(across, table)`` for contacts between voxels that differ along the axes ``across``. In
+        3 dimensions, these are edges along z for ``(0, 1)``, and corners for ``(0, 1, 2)``. The table counts contacts
+        in ranges of indices. For edges along z, index ``(i, j, k)`` is the edge at the upper end of voxel ``(i, j,
+        k)`` along x and y: it lies between voxels ``i`` and ``i + 1`` along x, and between voxels ``j`` and ``j + 1``
+        along y.
         """
         several = (across for num in range(2, self.dim + 1) for across in combinations(range(self.dim), num))
         contacts = ((across, are_disconnected(self.padded, across)) for across in several)

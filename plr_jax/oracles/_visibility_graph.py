@@ -352,9 +352,9 @@ class NearestPaths:
     """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
 
     Paths may also take the arcs of :class:`CornerVisibility`, such as links of a building. The *sources* are the
-    goals, without copies, then the corners. A *root* is a source that is a goal where the path ends, or from which
-    the path takes an arc. A root at goal ``i`` has the number ``i``. A root whose path takes arc ``i`` has the number
-    ``g + i``, where ``g`` is the number of goals.
+    goals (the cheapest at each point), then the corners. A *root* is a source that is a goal where the path ends,
+    or from which the path takes an arc. A root at goal ``i`` has the number ``i``. A root whose path takes arc ``i``
+    has the number ``g + i``, where ``g`` is the number of goals.
     """
 
     dim: ClassVar[int] = 2

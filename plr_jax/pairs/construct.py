@@ -165,7 +165,10 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return leaves and lists of the smaller tree in which only nodes of priority above ``key`` are halved."""
+        """Return the leaves, and their lists of corners, of a smaller tree.
+
+        In the smaller tree, only nodes of priority above ``key`` are halved.
+        """
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         leaves = np.flatnonzero((self.parent_key > key) & (self.is_leaf | (self.key <= key)))
         return self.cells[leaves], self.lists[leaves]

@@ -416,7 +416,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
 
 
 def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
-    """Return the weights of samples in fits; if all of a cell's are 0, each sample that reaches the goal gets 1."""
+    """Return the weights of samples in fits; in a cell where all are 0, samples that reach the goal get 1."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 
