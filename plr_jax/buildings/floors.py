@@ -252,7 +252,7 @@ class OnFloors:
     """A base class of functions of places, pairs ``(floor, x)``, that answer in the plane of all floors.
 
     Attributes:
-        floors: Bounds of the floors, the links, and ``shift``.
+        floors: Bounds of the floors, the links, and ``shift``, which moves each floor to its part of the plane.
         plane: The function in the plane: point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
     """
 

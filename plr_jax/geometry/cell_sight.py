@@ -55,7 +55,7 @@ class Shadows(NamedTuple):
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
-        """Find the shadows of all viewpoints of a visibility table."""
+        """Find all segments across which the visibility from a viewpoint of the table changes: see the class."""
         # 1. The first interval of each viewpoint starts at the cut, every other one at a vertex. Find unit vectors
         #    towards these vertices.
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))

@@ -80,7 +80,7 @@ class Viewpoints:
         return Viewpoints(self.points[of], np.flatnonzero(np.isin(of, self.owner)), self.edge[order]), of
 
     def joins(self, view: Indices, other: "Viewpoints", of_other: Indices) -> Bool[np.ndarray, " pairs"]:
-        """Return whether a path may pass between viewpoints ``view[i]`` and ``of_other[i]``, the latter of ``other``.
+        """Return whether a path may pass between viewpoint ``view[i]`` and viewpoint ``of_other[i]`` of ``other``.
 
         The result is False if both viewpoints lie at one point, but look into different sectors.
         """

@@ -195,7 +195,8 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 def are_disconnected(cells: Cells, across: Sequence[int]) -> Cells:
     """Return, for each face, edge or corner between true ``cells``, whether common faces fail to connect the cells.
 
-    The axes ``across`` are normal to these faces, edges or corners; the result is one entry shorter along them.
+    The ``2**len(across)`` cells around a face, edge or corner differ in their indices along the axes ``across``.
+    Along these axes, the result is one entry shorter than ``cells``.
     """
     # Bit i of `around` says whether cell i of the ``2**len(across)`` cells around is true.
     around = np.zeros([n - (axis in across) for axis, n in enumerate(cells.shape)], np.uint16)
@@ -215,7 +216,7 @@ def are_parted(free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, " n"]:
 
 
 def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
-    """Return tests whether boxes of ``domain`` contain cells that reach a goal, or free cells that do not.
+    """Return tests whether boxes in ``domain`` hold cells that reach a goal, or free cells that do not.
 
     The grid of cells fills ``bounds``. ``reached`` is true for cells that reach the goal, ``cut_off`` for free cells
     that do not. Array axes are coordinate axes.

@@ -198,7 +198,7 @@ class VisibilityGraph(PickledWithoutCaches):
         return self._first_turns(self._points("x", x))[0]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+        """Return tests whether boxes in ``domain`` hold points that reach the goal, or free points that do not.
 
         The result is None if a path leads from every free point.
         """
@@ -426,7 +426,7 @@ class NearestPaths:
         return np.where(source < 0, -1, self.root_numbers[path_ends(self.sources.parents)[source]])
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+        """Return tests whether boxes in ``domain`` hold points that reach a goal, or free points that do not.
 
         The result is None if a path leads from every free point to a goal.
         """

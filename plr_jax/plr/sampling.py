@@ -339,7 +339,7 @@ def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     """Give planes to the cells in which free space, but no sample, reaches the goal; return the changed fit.
 
     Each plane is tangent to the distance at a point of the free space. All other cells keep their planes. Without
-    ``sampler.cache``, nothing changes.
+    ``sampler.cache``, a :class:`SourceCache`, nothing changes.
     """
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.cache is None or not len(unseen):
