@@ -149,7 +149,7 @@ class FamilyCells(NamedTuple):
 
 
 class FamilyGoal(NamedTuple):
-    """The data of one goal that :func:`cells_of_goals` needs."""
+    """A goal with its sources, turn points and visibility polygon, as :func:`cells_of_goals` takes it."""
 
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn

@@ -81,8 +81,9 @@ def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bou
         field(x)  # distances (n,) to the goal from points x, (n, 2)
 
     Distances have gradients with respect to vertices, goals and points. Where two paths are equally short, the
-    gradient is that of one of them. From a corner, the path starts to its next turn. All arguments may be created
-    in ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in tracing.
+    gradient is that of one of them. At a corner of a polygon, it is that of the segment to the path's next turn. All
+    arguments may be created in ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in
+    tracing.
 
     Polygons may overlap and touch. Paths may touch walls, but not pass between two polygons that touch in a point.
     Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with these exceptions:
