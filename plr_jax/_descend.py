@@ -85,12 +85,14 @@ def descend(
 
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
-    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The field only ranks the edges between
-    corners. So each start reaches the goal if that is possible, and path lengths say little about a field.
+    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The cost-to-go only ranks the edges
+    between corners. So each start from which a path exists reaches the goal, and path lengths say little about the
+    errors of the cost-to-go.
 
-    *Other costs and spaces*: paths take finite steps to the visible point where the field falls most per cost of the
-    step. Then vertices are skipped or shifted to reduce the cost. A slower search escapes from local minima, and
-    gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few tenths of a second.
+    *Other costs and spaces*: paths take finite steps to the visible point where the cost-to-go falls most per cost of
+    the step. Then vertices are skipped or shifted to reduce the cost. From local minima, a slower search finds a way
+    on, or gives up (STUCK) after it has expanded 1,000 nodes. With a cost map, each start takes a few tenths of a
+    second.
 
     Args:
         distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in
@@ -98,8 +100,8 @@ def descend(
         space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in free space or on its boundary. If costs are lengths in a workspace, there may
-            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found. Errors of
-            the cost-to-go at the goals do not change which goal that is.
+            be several goals, ``(k, 2)``: each path ends at the goal to which the shortest path was found. At the
+            goals themselves, the values of ``distance_fn`` are not used.
         offsets: Cost of ending at each goal, ``(k,)``, as for :class:`NearestGoal`; None: 0. Only for several goals.
         cost_map: Factor of the motion cost at each point: the map for which ``distance_fn`` was computed. None: the
             factor is 1 everywhere.
@@ -109,9 +111,9 @@ def descend(
         a path may cost some percent more than the cheapest.
 
     Raises:
-        ValueError: If ``distance_fn`` is no function, ``space`` has a wrong type or only tests configurations, a
-            shape is wrong, the goal is not free, or a returned value is invalid: NaN of the field, or not positive
-            and finite for the cost map.
+        ValueError: If ``distance_fn`` is no function, ``space`` has a wrong type or only tests single configurations,
+            not segments (:class:`FreeTest`), a shape is wrong, the goal is not free, or a returned value is invalid:
+            NaN of the field, or not positive and finite for the cost map.
 
     References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """

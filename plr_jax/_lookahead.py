@@ -290,10 +290,10 @@ class _Lookahead:
     def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Nodes | None:
         """Return a path from a local minimum ``x`` of the cost-to-go to a point where it is less than ``below``.
 
-        The path is the array of its nodes after ``x``, or None if the search fails. All minima in a grid cell share
-        one path from the cell's center, so that the path from one start does not depend on other starts. The shared
-        path is used if the straight motion from ``x`` to the center is free, and the cost-to-go falls below ``below``
-        along the path. Else the search begins at ``x``.
+        The path is the array of its nodes after ``x``, or None if the search fails. All minima in a cell of a grid
+        over the domain share one path from the cell's center, so that the path from one start does not depend on
+        other starts. The shared path is used if the straight motion from ``x`` to the center is free, and the
+        cost-to-go falls below ``below`` along the path. Else the search begins at ``x``.
         """
         cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
         center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width
@@ -312,7 +312,7 @@ class _Lookahead:
         """Search best first for a path from ``x`` to a point where the cost-to-go is less than ``below``.
 
         Return the nodes of the path after ``x``, or None if the search fails. The search visits at most one node per
-        grid cell.
+        cell of a grid over the domain.
         """
         nodes, parent, frontier = [x], [-1], [(0.0, 0)]  # pairs of a node's field value and its index
         claimed = set(self._cells(x[None]))

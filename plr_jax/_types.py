@@ -96,9 +96,9 @@ class Sources:
 
     @staticmethod
     def of_graph(points: Points, distances: Distances, parents: Int[np.ndarray, " v"], *roots: Any) -> "Sources":
-        """Return the vertices of a graph as sources; ``parents`` are negative at vertices without a next vertex.
+        """Return the vertices of a graph as :class:`Sources`; ``parents`` are negative where there is no next vertex.
 
-        The optional arguments ``roots`` are the fields ``root_numbers`` and ``exits``.
+        The optional arguments ``roots`` are the fields ``root_numbers`` and ``exits`` of the result.
         """
         return Sources(points, distances, np.where(parents < 0, np.arange(len(parents)), parents), *roots)
 
@@ -185,7 +185,7 @@ class Reach:
     def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether each box holds a cut-off point, but no point that reaches the goal.
 
-        The second test takes a slightly larger box, because a query rounds points.
+        The box in which no point may reach the goal is slightly larger, because a query rounds points.
         """
         # Rounding may place points just outside of a box inside.
         holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
@@ -193,7 +193,7 @@ class Reach:
         return holds
 
     def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
-        """Return whether each box holds a point that reaches the goal, and also passes the test ``far``.
+        """Return whether each box holds a point that reaches the goal, and a cut-off point far from it (``far``).
 
         The result is False for boxes with a diagonal of at most 1/64, in fractions of the domain.
         """

@@ -222,7 +222,7 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
-    """Return the smaller of the gaps between two bodies at begin and end, along a fixed direction ``(nx, ny)``."""
+    """Return the smaller of the gaps between two bodies at begin and end of their motion, along ``(nx, ny)``."""
     return np.minimum(*((nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends))
 
 

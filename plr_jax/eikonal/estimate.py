@@ -304,7 +304,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: tuple[int, ...]) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return three values for each grid cell: its state, whether its node is open, and whether its node is clear.
+    """Return, for each grid cell, its :class:`CellState`, whether its node is open, and whether its node is clear.
 
     The node is the center of the cell. A node is *open* if paths on the grid may pass it, and *clear* if it is open
     and lies on no wall.

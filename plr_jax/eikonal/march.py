@@ -181,10 +181,10 @@ class VoxelGroups(NamedTuple):
 
     @classmethod
     def of(cls, free: Voxels, domain: Box, box: Box, shape: tuple[int, ...], goals: Goals) -> "VoxelGroups":
-        """Group the ``free`` and blocked voxels of a domain.
+        """Divide voxels, of which some are ``free``, into groups, and choose the node of each group: see the class.
 
         ``shape`` is the number of groups along each axis, and ``box`` contains all groups. The node of a group that
-        holds one of the ``goals`` stays open.
+        holds one of the ``goals`` stays open (paths may pass it).
         """
         # 1. Pad the voxels so that groups fill the box. Find the groups in which all voxels are free, and the groups
         #    in which any voxel is free.

@@ -301,11 +301,12 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Return a mesh in which some blocked cells count as mixed, so that paths may begin where open cells just touch.
+    """Return a mesh in which blocked cells count as mixed (not proven blocked) if open cells touch beside them.
 
     Open cells are cells that are not blocked. If open cells touch only in an edge or a corner, a path that begins
     there may go into any of these cells. If the space lets robots squeeze between obstacles, a path may also pass
-    through the edge or corner. So the blocked cells around such an edge or corner count as mixed.
+    through the edge or corner. But meshes join cells only through common faces. So the blocked flush cells around
+    such an edge or corner count as mixed: common faces then join the open cells through them.
     """
     #   +---+---+    A blocked flush cell A, seen along an edge (*) that it shares with an open cell B. The four cells
     #   | A | B |    around the edge are found at a small distance from it, the `inset`. If A and C are blocked but B

@@ -245,7 +245,9 @@ def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -
 def _field(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float, given: Points
 ) -> tuple[CostToGoField, WhichGoal]:
-    """Solve for bounds and an estimate of the cost-to-go; also return a function that finds the goals of points.
+    """Solve for bounds and an estimate of the cost-to-go; also return a function from points to indices of goals.
+
+    The index is that of the goal to which the path from the point leads.
 
     ``goals`` are fractions of the domain; ``given`` are the same goals in the domain's own coordinates, not rounded.
     """
@@ -328,7 +330,7 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: Progress) -> None:
-        """Solve the program on finer and finer meshes, and at the end on the finest mesh with many iterations."""
+        """Solve the convex program on finer and finer meshes, and finally on the finest mesh with many iterations."""
         # 1. Solve on the coarse mesh.
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
@@ -383,7 +385,7 @@ class SlopeSolver:
         return mesh
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return a copy of the mesh in which each mixed cell counts as free or as blocked.
+        """Return a copy of the mesh in which each mixed (unproven) cell counts as free or as blocked.
 
         A mixed cell counts as free if a straight motion through its middle is free, from side to side of the cell
         along the gradient of the lower bound. The answers are stored in ``_through`` for later calls.

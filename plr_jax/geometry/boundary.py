@@ -280,7 +280,7 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
 
 def _repaired(name: str, shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
-    """Make an invalid Shapely polygon valid: return the union of its parts, each part without its holes.
+    """Make an invalid Shapely polygon valid: return the union of its polygons, each without its holes.
 
     ``ValueError`` is raised if a ring crosses itself; the message calls the polygon ``name``.
     """

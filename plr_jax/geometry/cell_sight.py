@@ -261,7 +261,7 @@ class CellSources:
         return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, " n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether piece ``piece[i]`` contains each of the points ``points[i]``, up to a tolerance."""
+        """Return whether convex piece ``piece[i]`` holds each of the points ``points[i]``, up to a tolerance."""
         return convex_pieces.contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
 
     def see(self, source: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
@@ -269,7 +269,7 @@ class CellSources:
         return self.sight.shadows.table.sees(self.sight.view[source], points)
 
     def pieces_as_cells(self, rows: Int[np.ndarray, " some"]) -> Self:
-        """Return an object with only the pieces ``rows`` (indices), each as a cell of its own."""
+        """Return sources of only the convex pieces ``rows`` (indices), each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
@@ -281,14 +281,14 @@ class CellSources:
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, " some"]) -> Self:
-        """Return an object with only the cells ``cells`` (indices), in this order; their new indices are 0, 1, ..."""
+        """Return sources of only the cells ``cells`` (indices), in this order; their new indices are 0, 1, ..."""
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     __getitem__ = of_cells
 
     def of_pieces(self, rows: Int[np.ndarray, " some"]) -> Self:
-        """Return an object with only the pieces ``rows`` (indices), in this order.
+        """Return sources of only the convex pieces ``rows`` (indices), in this order.
 
         If ``cell`` is then no longer ascending, the caller must renumber the cells.
         """
@@ -299,7 +299,7 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, " some"] | Bool[np.ndarray, " pairs"]) -> Self:
-        """Return an object with all pieces, but only those pairs of a piece and a source that ``pairs`` selects.
+        """Return a copy with all convex pieces, but only those pairs of a piece and a source that ``pairs`` selects.
 
         ``pairs`` are indices, or a boolean for each pair.
         """

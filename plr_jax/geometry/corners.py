@@ -33,7 +33,7 @@ class ReflexCorners:
     slack: float  # tolerance of tests on which side of a line through a corner a point lies
 
     def with_points(self, points: Float[np.ndarray, "n 2"], index: int = 0) -> "ReflexCorners":
-        """Insert points, at which paths may turn in any direction, before the corner with the given index."""
+        """Return the corners with ``points``, where paths may turn in any direction, inserted at ``index``."""
         at = [index] * len(points)
         return ReflexCorners(np.insert(self.points, at, points, 0), np.insert(self.walls, at, 0.0, 1), self.slack)
 
@@ -103,16 +103,19 @@ class CornerVisibility:
 
     @property
     def places(self) -> Int[np.ndarray, " places"]:
-        """The indices of the places among the corners."""
+        """The indices, among the corners, of the *places*: points at which paths may turn in any direction."""
         return np.arange(len(self.corners.points))[len(self.corners.points) - self.num_places :]
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, " vertices"]:
-        """The corner at each vertex of the boundary, -1 for none; places do not count."""
+        """The index of the corner at each vertex of the boundary; -1 for none.
+
+        Places (see the class) do not count as corners here.
+        """
         return corner_of_vertex(self.table.boundary, self.views[: len(self.corners.points) - self.num_places])
 
     def in_sight(self, triangulation: Triangulation, views: Viewpoints) -> ViewsInSight:
-        """Return what viewpoints see, and the pairs of a viewpoint and a corner that see each other."""
+        """Return the visibility polygons of viewpoints, and pairs of a viewpoint and a corner that see each other."""
         table, (view, vertex) = visibility_of(triangulation, views)
         return table, self.mutual_pairs(table, view, self.of_vertex[vertex])
 
@@ -206,7 +209,10 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Vectors along the right side and along the left side of each cone; 0 if the cone is the whole plane."""
+        """Vectors along the right side and along the left side of each corner's cone (see the class).
+
+        Both are 0 if the cone is the whole plane.
+        """
         #     left side \      / right side
         #                \cone/
         #                 \  /

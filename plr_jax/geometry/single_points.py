@@ -32,9 +32,10 @@ class Place(NamedTuple):
     beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
     def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
-        """Join the lists of the triangles that contain the point.
+        """Return the entries of the one or two triangles that contain the point, such as corners that see a triangle.
 
-        The list of triangle ``t`` is ``entries[first[t] : first[t + 1]]``.
+
+        Triangle ``t`` has the entries ``entries[first[t] : first[t + 1]]``.
         """
         listed = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:

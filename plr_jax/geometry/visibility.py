@@ -91,18 +91,18 @@ class Viewpoints:
         return joins
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the viewpoint along the right wall of each sector."""
+        """Return, for each sector (see the class), a vector from the viewpoint along its right wall."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the viewpoint along the left wall of each sector."""
+        """Return, for each sector (see the class), a vector from the viewpoint along its left wall."""
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, " sectors"]:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, " sectors"]:
-        """Return the vertex at the far end of each sector's left wall."""
+        """Return, for each sector (see the class), the vertex at the far end of its left wall."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 

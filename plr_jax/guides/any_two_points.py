@@ -94,14 +94,15 @@ print(stack([0, 5, 7], x[:3]))  # the distance of x[0] to goal 0, of x[1] to goa
 nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works inside jit
 ```
 
-A stack is fastest if all its PLRs have one leaf model. If only the nearest goal counts, a single PLR of a
+A stack is fastest if all its PLRs have the same leaf model. If only the nearest goal counts, a single PLR of a
 `plr_jax.NearestGoal` is enough: see `plr_jax.guides.distance_function`. All classes of pairs are in `plr_jax.pairs`.
 
 # In C and JavaScript
 
 The module of a `plr_jax.PairPLR` exports `distance(x, y)`, `waypoint(x, y)` and `bounds(x, y)`. In C, use
 `pairs.to(goal)`, the distance to one goal. The header of a `plr_jax.GridPairs` defines
-`int32_t grid_steps(uint32_t from, uint32_t to)`, which reads tables from a separate file, with bytes `header.table`.
+`int32_t grid_steps(uint32_t from, uint32_t to)`, which reads tables from a separate file: write the bytes
+`header.table` to it.
 
 ```python
 from pathlib import Path

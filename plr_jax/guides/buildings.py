@@ -54,8 +54,8 @@ plr_jax.plot.page(plr, building.plane).save("building.html")  # a page with a sw
 
 `plr(floor, x)` works under `jit`, `vmap` and `grad`, and `construct` takes every leaf and option of
 `plr_jax.construct`. All floors lie side by side in one plane: `building.plane` is their workspace, `plr.plane` the
-PLR, and point `x` of floor `k` is `x + plr.floors.shift[k]` there. Functions of plr_jax that know no floors take
-these:
+PLR, and point `x` of floor `k` is `x + plr.floors.shift[k]` there. Functions of plr_jax that know no floors take this
+PLR and workspace:
 
 ```python
 ax = plr_jax.plot.plot_contours(plr.plane, workspace=building.plane)
@@ -113,8 +113,8 @@ reads them. In the file, a floor may be the name of a file beside it, such as `"
 
 # Limits
 
-For JavaScript, `plr.plane.js_module()` takes points of the plane. Links do not queue, and take no time tables. Rooms
-from which no goal can be reached answer `inf`, except closer than 1/64 of the width of `building.plane` to points
-that can. All floors lie in cells of the size of the largest one, and share its precision. `construct_pairs` takes at
-most 8,192 corners and ends of links in all.
+For JavaScript, `plr.plane.js_module()` takes points of the plane. Links have no queues and no time tables. In rooms
+from which no goal can be reached, PLRs answer `inf`, except closer than 1/64 of the width of `building.plane` to
+points that can reach a goal. All floors lie in equal cells of the plane, so points of a small floor are rounded as
+coarsely as those of the largest floor. `construct_pairs` takes at most 8,192 corners and ends of links in all.
 """

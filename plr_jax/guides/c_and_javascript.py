@@ -63,17 +63,17 @@ int main(void)
 cc -std=c99 -O2 -ffp-contract=off main.c -lm
 ```
 
-On a corner, the waypoint may be that corner: so `arrive` looks ahead, in growing steps. In a maze (1 KB) and a hall
-of shelves (2 KB), all paths arrive. If leaves are larger than details, paths cut corners: give the file more bytes.
+At a corner, the waypoint may be the corner itself: so `arrive` looks ahead, in growing steps. In a maze (1 KB) and a
+hall of shelves (2 KB), all paths arrive. If leaves exceed the map's details, paths cut corners: use more bytes.
 
 ## Small machines
 
 `plr-jax build` and `export` print what the C code takes on a Cortex-M4; a comment in the header says it too. Headers
-with tables add 600 bytes of code and 100 of stack; compact headers add what the last row says. In the plane:
+of tables, the default, add 600 bytes of code and 100 of stack; for compact headers, see the last row. In the plane:
 
 | | plane | cone | continuous | smooth |
 | --- | --: | --: | --: | --: |
-| tables: bytes a byte of the file, up to | 6 | 8 | 16 | 46 |
+| tables: bytes for each byte of the file, up to | 6 | 8 | 16 | 46 |
 | with `compact=True` or `--compact`, up to | 1.7 | 2.6 | 2.6 | 3.3 |
 | compact: bytes of code; of stack | 4,300; 600 | 1,400; 500 | 3,700; 800 | 6,500; 5,600 |
 

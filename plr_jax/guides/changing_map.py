@@ -48,8 +48,8 @@ print(plr_closed.max_error, plr_jax.certify(plr, oracle_closed).max_error)
 
 # For other changes
 
-- New distances were measured at some points, such as lengths of trips: train the values of a PLR to fit them, in
-  `plr_jax.guides.gradients`.
+- New distances were measured at some points, such as lengths of trips: train the values that a PLR
+  stores: see `plr_jax.guides.gradients`.
 - Goals change, the map does not: `plr_jax.construct_pairs` or `plr_jax.construct_many`, in
   `plr_jax.guides.any_two_points`.
 - The map changes at every step, or inside `jit`: `plr_jax.grid_distance`, in `plr_jax.guides.inside_jit`.

@@ -29,7 +29,7 @@ The result is a `plr_jax.CostDistance`. Where no source can be reached, `distanc
 
 With `pip install 'plr-jax[gis]'`, costs and heights may be paths of files, whose scale is applied, or `DataArray`s of
 two dimensions with equal coordinates. Cells without data are barriers. Sources and paths have the file's coordinates;
-masks have its order of rows. Results are `DataArray`s. Paths start at centers of cells, and cost the distances there.
+masks have the file's order of rows. Results are `DataArray`s. A path begins in a cell's center.
 
 ```text
 result = plr_jax.cost_distance("friction.tif", clinics)
@@ -76,7 +76,7 @@ print(shapely.to_geojson(shapely.multipolygons(areas))[:80])
 
 With heights, costs depend on the slope along the path. The default is Tobler's hiking function, in seconds a meter
 of horizontal distance; `slope_cost` may be any other function of slopes, rise over run. The costs are then factors
-without a unit, such as 1 in fields and 2.5 in forest. If only the heights have coordinates, costs may be a number.
+without a unit, such as 1 in fields and 2.5 in forest. If heights are a file or `DataArray`, costs may be a number.
 
 ```python
 heights = np.fromfunction(lambda row, column: 5.0 * column, (60, 80))  # rises by 5 m every 30 m eastward
@@ -100,9 +100,9 @@ reached = bounded.nearest >= 0
 print((bounded.upper[reached] - bounded.lower[reached]).mean() / bounded.distance[reached].mean())
 ```
 
-Rasters of more than 2 million open cells (4 million with bounds, heights or `squeeze`) are too large for a search,
-which takes 4 kB a cell. They are marched over by scikit-fmm: without paths, with errors of 0.1 to 0.3 % where costs
-change slowly, 0.5 to 7 % where costs jump, more if random in each cell. 100 million cells take 104 CPU s and 14 GB.
+A search takes 4 kB a cell. Bounds, heights and `squeeze` need it: more than 4 million open cells are an error. Else,
+scikit-fmm marches over rasters of more than 2 million open cells: no paths, errors of 0.1 to 0.3 % where costs change
+slowly, 0.5 to 7 % where they jump, more if random in each cell. 100 million cells take 104 CPU s and 14 GB.
 
 # A file of kilobytes
 

@@ -1,4 +1,4 @@
-"""Guide: build a cost-to-go from costs, voxels, bodies and arms, without an oracle.
+"""Guide: build a cost-to-go over cost maps, in voxels, or for rigid bodies and robot arms, without an oracle.
 
 `plr_jax.solve_eikonal` needs only a *configuration space*, which says what is free, and a goal. With a *cost map*,
 costs differ from place to place. The result is a `plr_jax.PLR`. To turn a raster of costs into a raster of distances,
@@ -66,7 +66,7 @@ print(plr_jax.metrics.error_map(plr, truth, nodes[space.is_free(nodes)][::100]))
 
 # Volumes
 
-Voxels are `free[x, y, z]`, unlike rasters. `scenes.read_volume` reads `.npy` and `.3dmap`; trimesh voxelizes meshes.
+Voxels are `free[x, y, z]`, rasters `[row, column]`. `scenes.read_volume` reads files; trimesh voxelizes meshes.
 
 ```python
 free = np.ones((12, 12, 8), bool)

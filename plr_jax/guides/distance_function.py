@@ -62,13 +62,13 @@ the largest error in a cell. Leaves:
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: cones if `max_bytes` has ample room for all corners; else the most exact of several PLRs. If the oracle
-  knows no corners, such as a `Roadmap`, or without a proof if corners need over 4 times `max_bytes`: `"continuous"`.
+- `"best"`: cones if `max_bytes` has ample room for all corners; else the most exact of several PLRs.
+  `"continuous"` if the oracle knows no corners, or if corners need over 4 times `max_bytes` and no proof is wanted.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
-existing PLR. Where walls touch at a point, no error below half of the jump can be proven. `plr.lower` is never
-above the true distance: see `plr_jax.guides.heuristics`. Ctrl-C returns the PLR built so far, with a
+existing PLR. Where walls touch at a point, no error below half of the distance's jump can be proven. `plr.lower` is
+never above the true distance: see `plr_jax.guides.heuristics`. Ctrl-C returns the PLR built so far, with a
 `plr_jax.ConstructionInterrupted` warning.
 
 # Files and queries
@@ -88,8 +88,8 @@ plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 
 # What `inf` means
 
-- *No path to the goal.* PLRs of most oracles answer `inf` in rooms without a path to the goal, except within 1/64 of
-  the domain's width of points with a path. `workspace.reachable(x, goal)` has no such exception.
+- *No path to the goal.* PLRs of most oracles answer `inf` in rooms without a path to the goal, except closer than
+  1/64 of the domain's width to a point with a path. `workspace.reachable(x, goal)` has no such exception.
 - *Outside the domain.* A PLR answers `inf`; `outside="clamp"` extends a PLR beyond its domain.
 - *In an obstacle.* A `VisibilityGraph` answers `inf`. A PLR does not store walls and may answer a finite number.
 - *A blocked cost.* No path enters a place where a cost map or raster is `inf`.

@@ -89,9 +89,10 @@ In `reset`, compute the field and store it in the environment's state. If the ag
 `field(x)`. If the agent moves between neighboring cells, use `moves=4` or `moves=8`: the distance is then the total
 length of the steps. Compared with any-angle paths, a reset on 11 x 11 cells takes 115 or 8.2 times less CPU time.
 
-If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
-So create a pool of states beforehand, and let each reset pick a state from the pool. If resets need new maps, compute
-a few new states in each step, outside of `vmap`, and put them into the pool in place of old ones.
+If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step also runs `reset`,
+which computes a field. So create a pool of states beforehand, and let each reset pick a state from the pool. If
+resets need new maps, compute a few new states in each step, outside of `vmap`, and put them into the pool in place of
+old ones.
 
 ```python
 def reset(key):

@@ -39,8 +39,8 @@ The cost of a path is the sum of what the robots travel, plus `rotation_weight` 
 `plr_jax.bl_plan` searches finer and finer lattices with two alternating searches: LaCAM, and the best-first search of
 Barraquand and Latombe. It stops after the first search that succeeds, and shortens the path. If a few discs can move
 one after the other, it has a path at once, and searches only three lattices for a cheaper one. If it finds no path,
-one may still exist. Robots change speed and direction at once. A `plr_jax.Solution` has a `plr_jax.Status`, which
-says why the search ended, and `plr_jax.planners.Stats`.
+one may still exist. Paths let robots change speed and direction instantly. A `plr_jax.Solution` has a
+`plr_jax.Status`, which says why the search ended, and `plr_jax.planners.Stats`.
 
 `plr_jax.validate` shares no collision test with the planner. Its `plr_jax.ValidationReport` says whether a path is
 valid, how close robots come to obstacles and to one another, and what the first violation is.

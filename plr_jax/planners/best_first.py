@@ -111,7 +111,7 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = np.i
 
 @dataclass
 class SuccessorList:
-    """The best successors of one node, by ascending score; they join the search tree one by one."""
+    """The best next joint configurations of one node, by ascending score; they join the search tree one by one."""
 
     score: Float[np.ndarray, " m"]  # cost-to-come plus weighted heuristic
     cost: Float[np.ndarray, " m"]  # cost-to-come

@@ -114,7 +114,7 @@ class CellGrid(NamedTuple):
         self.child[cells], self.cost[cells] = child, cost
 
     def neighbors(self, cells: Int[np.ndarray, "*n"], offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
-        """Return the cells at given offsets, and whether each is a different cell that has a representative."""
+        """Return the cells at ``offsets`` from ``cells``, and whether each is another cell with a representative."""
         target = np.stack(np.unravel_index(cells, self.shape), axis=-1)[..., None, :] + offsets
         target[..., 2:] %= np.array(self.shape)[2:]  # headings are periodic
         exists = ((target >= 0) & (target < self.shape)).all(axis=-1)
@@ -191,7 +191,7 @@ class CellGrid(NamedTuple):
         return Kind(robot, members, q, child, cost, self.side, grid.offsets * self.side, terminals)
 
     def _with_representatives(self, cells: Int[np.ndarray, " n"], q: Configurations) -> "CellGrid":
-        """Return the grid in which each of ``cells`` without a representative has the first of its configurations."""
+        """Return the grid in which ``q[i]`` represents the cell ``cells[i]`` if this cell had no representative."""
         occupied, first = np.unique(cells, return_index=True)
         is_missing = ~self.free[occupied]
         if not is_missing.any():

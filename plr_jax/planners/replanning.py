@@ -120,7 +120,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan robots of a timetable until no motion collides and all end at the robots' goals.
+    """Replan robots of a :class:`Timetable` until no motion collides and all motions end at the robots' goals.
 
     Return whether this worked. Robots ``fixed`` (indices) stand still. ``step`` is the cell size of the lattices.
     """

@@ -73,8 +73,8 @@ def _positions_at(
 ) -> Float[np.ndarray, "corners 2"]:
     """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp.
 
-    ``normal`` is the unit normal of the wall that begins at the corner. ``turn`` is the angle, in radians, from there
-    to the normal of the wall that ends at the corner. It is positive at convex corners of obstacles.
+    ``normal`` is the unit normal of the wall that begins at the corner. ``turn`` is the angle, in radians, from this
+    normal to the normal of the wall that ends at the corner. It is positive at convex corners of obstacles.
     """
     # Let r be the radius. The center passes along lines at the distance r from both walls. These lines meet in the
     # direction halfway between the walls' normals, at r / cos(turn / 2) from the corner. At a sharp corner, this is
@@ -184,7 +184,7 @@ def sequential_path(problem: Problem) -> JointPath | None:
 
 
 def _comes_within(route: Route, place: complex, reach: float) -> bool:
-    """Return whether a route comes nearer than ``reach`` to the point ``place``; points are complex numbers."""
+    """Return whether a robot's route comes nearer than ``reach`` to a point ``place``, a complex number."""
     for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2

@@ -248,7 +248,11 @@ def search(
 
 
 def _steps(shape: float, has_heights: bool) -> dict[Place, list[Place]]:
-    """Return the steps of edges from each kind of nodes, in units, for cells ``shape`` times as wide as high."""
+    """Return, for each kind of nodes (corner, center, at a side), the vectors to the ends of its edges.
+
+    Vectors are steps in rows and columns, in parts of a cell (``UNITS`` to a cell). Cells are ``shape`` times as wide
+    as high.
+    """
     # 1. Edges between corners and centers have all directions in which they pass no other corner or center, up to a
     #    length. Counted in half cells, corners have even places and centers odd ones:
     #
@@ -335,10 +339,10 @@ def mean_along(
 ) -> np.ndarray:
     """Return the mean cost per length of a straight motion from each of many cells; ``inf`` if a barrier stops it.
 
-    Each motion goes by ``step``, from a node of the ``kind`` in its cell. For an offset in rows and columns,
-    ``cost_at`` returns the costs of the cells that lie at this offset from the cells where motions begin. In each of
-    the ``stretches`` of the motion, costs are multiplied by a factor. Unless motions ``squeeze`` through, they do not
-    pass between two barriers that touch in a corner.
+    Each motion goes by the vector ``step``, from the node of the ``kind`` (such as the center) in its cell. For an
+    offset in rows and columns, ``cost_at`` returns the costs of the cells that lie at this offset from the cells
+    where motions begin. In each of the ``stretches`` of the motion, costs are multiplied by a factor. Unless motions
+    ``squeeze`` through, they do not pass between two barriers that touch in a corner.
     """
     # 1. Cut the motion where it enters another cell: at the shares of the way where a coordinate is a multiple of
     #    `UNITS`. Cut it where stretches end, too. A piece lies in the cell of its middle.
@@ -371,7 +375,9 @@ def mean_along(
 def _slope_factors(
     step: Place, kind: Place, length_at: Callable[[int], Any], height_at: AtOffset, slope_fn: Slope
 ) -> Stretches:
-    """Return the stretches of a motion by ``step`` from nodes of a ``kind`` in many cells, by slope.
+    """Cut a motion by the vector ``step`` into stretches of one slope each; return their ends and cost factors.
+
+    The motion begins in many cells, at the node of the ``kind`` (such as the center) of each.
 
     The motion is cut where it crosses a row or a column of centers. Heights are bilinear at its ends and where it is
     cut, and linear along each stretch. ``height_at`` returns the heights of the cells at an offset from the cells in

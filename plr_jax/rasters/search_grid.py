@@ -14,7 +14,7 @@ Parts = Float[np.ndarray, "part_rows part_columns"]
 
 
 class SearchGrid(NamedTuple):
-    """A grid of parts of a raster's cells. Rows ascend.
+    """A grid that divides each cell of a raster into equal parts; rows have ascending y.
 
     The *plane* of the grid has the raster's lower corner at 0, and the raster's unit of length or, for a raster in
     degrees, meters along meridians. A unit of the plane along a parallel has the length ``scale`` on the ground.
@@ -47,36 +47,42 @@ class SearchGrid(NamedTuple):
 
     @property
     def side(self) -> Sides:
-        """Width and height of a part, in the plane."""
+        """Width and height of a part of a raster's cell, in the plane of the grid (see the class)."""
         return self.unit * self.box.width / np.multiply(self.shape, self.parts)[::-1]
 
     def divided(self, raster: Raster) -> Parts:
-        """Return the raster's values in each part of its cells."""
+        """Return, for each part of the grid, the value of the raster's cell that it divides."""
         if self.parts == (1, 1):
             return raster
         return raster.repeat(self.parts[0], axis=0).repeat(self.parts[1], axis=1)
 
     def interpolated(self, raster: Raster) -> Parts:
-        """Return values of a raster at centers of parts, bilinear between centers of cells, constant beyond them."""
+        """Return a raster's values, interpolated at the centers of all parts of the grid.
+
+        They are bilinear between centers of cells, and constant beyond the outermost centers.
+        """
         beside = np.pad(raster, ((1, 1), (0, 0)), mode="edge")
         beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.box.periodic[0] else "edge")
         along = ((np.arange(n * k) + 0.5) / k + 0.5 for n, k in zip(self.shape, self.parts, strict=True))
         return ndimage.map_coordinates(beside, np.meshgrid(*along, indexing="ij"), order=1)
 
     def at_centers(self, table: np.ndarray) -> np.ndarray:
-        """Return the values at the centers of the raster's cells, from values at the centers of parts."""
+        """Return the values at the centers of the raster's cells, from values at the centers of all parts."""
         (rows, columns), parts = self.middle_of((0, 0)), self.parts
         return table[rows :: parts[0], columns :: parts[1]]
 
     def in_plane(self, points: Points) -> Points:
-        """Return the places of points of the raster in the plane of the grid."""
+        """Convert points from the raster's coordinates to coordinates in the plane of the grid (see the class)."""
         return self.unit * (self.box.wrapped(points) - self.box.lo)
 
     def on_raster(self, places: Points) -> Points:
-        """Return the points of the raster at places in the plane of the grid."""
+        """Convert points from coordinates in the plane of the grid (see the class) to the raster's coordinates."""
         return self.box.lo + places / self.unit
 
     def middle_of(self, cell: tuple[int, int]) -> tuple[int, int]:
-        """Return the row and the column of the part in the middle of a cell."""
+        """Return the row and column, in this grid, of the part in the middle of a cell of the raster.
+
+        ``cell`` has the row and column in the raster.
+        """
         row, column = (k * count + count // 2 for k, count in zip(cell, self.parts, strict=True))
         return row, column

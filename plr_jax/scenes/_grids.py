@@ -95,7 +95,7 @@ def read_volume(path: StrPath) -> Bool[np.ndarray, "..."]:
 
 
 def _read_voxel_array(path: Path) -> Bool[np.ndarray, "..."]:
-    """Read which voxels are free from a ``.npy`` file of booleans, or of integers 0 (blocked) and 1 (free)."""
+    """Read a boolean array, True for free voxels, from a ``.npy`` file of booleans, or integers 0 and 1."""
     try:  # memory-mapped: a header that promises more than the file holds fails early
         values = np.lib.format.open_memmap(path, mode="r")
     except OSError:
@@ -112,7 +112,7 @@ def _read_voxel_array(path: Path) -> Bool[np.ndarray, "..."]:
 
 
 def _read_voxel_list(path: Path) -> Bool[np.ndarray, "x y z"]:
-    """Read which voxels are free from a text file that lists the blocked ones, after a line with the grid's shape."""
+    """Read a boolean array, True for free voxels, from a text file: the grid's shape, then the blocked voxels."""
     text = text_of(path, _MOST_LIST_BYTES)
     header, _, body = text.partition("\n")
     # 1. Read the number of voxels along each axis.

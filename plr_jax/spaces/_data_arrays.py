@@ -70,8 +70,8 @@ def opened(name: str, raster: Any) -> Any:
 def raster_values(name: str, raster: Any, expected: str = "a raster of numbers") -> Float[np.ndarray, "..."]:
     """Return the values of a raster as float64, with ``inf`` for cells that are masked, NaN or without data.
 
-    A ``DataArray`` names the values of cells without data. ``expected`` describes a valid raster in error messages.
-    The result is a copy.
+    Which values stand for cells without data is read from a ``DataArray``'s attributes or encoding. ``expected``
+    describes a valid raster in error messages. The result is a copy.
     """
     cells: Any = np.asarray(raster) if is_data_array(raster) else filled_with_inf(raster)
     values = np.array(as_numbers(name, cells, expected))
@@ -88,7 +88,10 @@ def raster_values(name: str, raster: Any, expected: str = "a raster of numbers")
 
 
 def _no_data_values(name: str, raster: Any) -> set[float]:
-    """Return the values of cells without data that a ``DataArray`` names; check that its values are scaled."""
+    """Return the values that stand for cells without data in a ``DataArray``.
+
+    ``ValueError`` if its attributes say that its values must still be scaled.
+    """
     values = set()
     for table in (raster.attrs, raster.encoding):
         is_scaled = any(number != neutral for key, neutral in _SCALES for number in _numbers(table.get(key)))

@@ -57,7 +57,8 @@ class RasterCost:
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
             blocked. An xarray ``DataArray`` of the dimensions y and x may run from north to south, and its no-data
-            cells are blocked. So may the path of a file that rioxarray reads, such as a GeoTIFF of one band.
+            cells are blocked. Instead of an array, pass the path of a
+            file that rioxarray reads, such as a GeoTIFF of one band.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers. Leave
             it out for a ``DataArray`` or a file, which have coordinates.
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
