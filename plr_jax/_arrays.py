@@ -263,9 +263,10 @@ def require_type(name: str, value: object, kind: Any, expected: str, advice: str
 
 def require_choice(name: str, value: object, choices: Sequence[str | int]) -> None:
     """Raise a ``ValueError`` that suggests a choice of similar spelling, unless a value is one of ``choices``."""
-    if not isinstance(value, str | int | np.integer) or isinstance(value, bool) or value not in choices:
-        close = get_close_matches(str(value).lower(), map(str, choices), 1)
-        hint = f" Did you mean {close[0]!r}?" if close and isinstance(value, str) else ""
+    if getattr(value, "ndim", 0) or value not in choices:
+        spelled = {str(choice): choice for choice in choices}
+        close = get_close_matches(str(value).lower(), spelled, 1)
+        hint = f" Did you mean {spelled[close[0]]!r}?" if close and isinstance(value, str) else ""
         *others, last = map(repr, choices)
         raise ValueError(f"{name} must be {', '.join(others)} or {last}, got {shortened(value)}.{hint}")
 

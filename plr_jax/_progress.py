@@ -1,5 +1,6 @@
 """Progress bars of long calls: one style, on terminals and in notebooks, for calls that take over two seconds."""
 
+import os
 import sys
 import threading
 from contextlib import AbstractContextManager
@@ -7,6 +8,7 @@ from typing import Any
 
 _DELAY = 2.0  # seconds until a bar appears
 _COLUMNS = 80  # width of a bar in a notebook, in characters
+_PROCESS = os.getpid()  # processes that fork from it show no bars
 
 
 class Progress(AbstractContextManager["Progress"]):
@@ -34,20 +36,21 @@ class Progress(AbstractContextManager["Progress"]):
     def update(self, count: int = 1, note: str = "") -> None:
         """Add to the count of finished work; a ``note`` replaces the text that the bar shows after the count."""
         if self._bar is not None:
-            self._bar.postfix = note or self._bar.postfix
+            if note:
+                self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(count)
 
 
 def _watched_file() -> Any:
     """Return a file that shows bars to a person: a notebook's cell or a terminal; None if there is none."""
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or os.getpid() != _PROCESS:
         return None
     # Kernels refuse to ask for input if a notebook runs as a batch (nbconvert, nbclient, papermill). Outputs of a
     # batch are saved, and should not depend on how long calls take.
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if getattr(getattr(shell, "kernel", None), "_allow_stdin", False):
         return _CellOutput()
-    return sys.stderr if sys.stderr is not None and sys.stderr.isatty() else None
+    return sys.stderr if getattr(sys.stderr, "isatty", bool)() else None
 
 
 class _CellOutput:

@@ -134,6 +134,8 @@ def test_deadline_without_enough_time_raises(monkeypatch):
 def test_misspelled_choice_gets_a_suggestion():
     for value, message in [
         ("Nearst", r"^mode must be 'bilinear', 'nearest' or 4, got 'Nearst'\. Did you mean 'nearest'\?$"),
+        ("4", r"Did you mean 4\?$"),
+        (np.array(["nearest", "x"]), "got array"),
         ("?", r"^mode must be 'bilinear', 'nearest' or 4, got '\?'\.$"),
         (True, "got True"),
         (8, r"got 8\.$"),
@@ -142,7 +144,8 @@ def test_misspelled_choice_gets_a_suggestion():
     ]:
         with pytest.raises(ValueError, match=message):
             _arrays.require_choice("mode", value, ("bilinear", "nearest", 4))
-    _arrays.require_choice("mode", np.int64(4), ("bilinear", "nearest", 4))
+    for value in (np.int64(4), 4.0, np.array(4)):
+        _arrays.require_choice("mode", value, ("bilinear", "nearest", 4))
 
 
 def test_integers_and_single_items_get_advice():

@@ -3,9 +3,11 @@
 import io
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import nbformat
 import pytest
+import tqdm
 from nbclient import NotebookClient
 
 from plr_jax import _progress
@@ -47,6 +49,19 @@ def test_bar_on_a_terminal_vanishes(monkeypatch):
     lines = shown_by(Terminal(), monkeypatch, count_to_ten).split("\r")
     assert any("count:" in line and "/10" in line for line in lines)
     assert lines[-1].strip() == lines[-2].strip() == ""
+
+
+def test_calls_end_where_no_bar_can_be_drawn(monkeypatch):
+    monkeypatch.setattr(tqdm, "tqdm", partial(tqdm.tqdm, disable=True))  # as by the environment variable TQDM_DISABLE
+    assert shown_by(Terminal(), monkeypatch, count_to_ten) == ""
+    monkeypatch.setattr(sys, "stderr", object())  # a writer of logs without `isatty`
+    monkeypatch.setitem(sys.modules, "IPython", None)  # an import that is refused
+    count_to_ten()
+
+
+def test_processes_that_fork_show_no_bars(monkeypatch):
+    monkeypatch.setattr(_progress, "_PROCESS", -1)
+    assert shown_by(Terminal(), monkeypatch, count_to_ten) == ""
 
 
 def test_bar_vanishes_after_an_error(monkeypatch):

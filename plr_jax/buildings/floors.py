@@ -252,7 +252,7 @@ class OnFloors:
     """A base class of functions of places, pairs ``(floor, x)``, that answer in the plane of all floors.
 
     Attributes:
-        floors: Bounds of the floors, the links, and ``shift``.
+        floors: Bounds of the floors, the links, and ``shift``, which moves each floor to its part of the plane.
         plane: The function in the plane: point ``x`` of floor ``k`` is ``x + floors.shift[k]`` there.
     """
 
@@ -270,7 +270,10 @@ class OnFloors:
 
     @classmethod
     def of_parts(cls, floors: Floors, plane: Any) -> Self:
-        """Join the parts of a file in an object; ``ValueError`` if ``plane`` has another domain than ``floors``."""
+        """Make an object from the two parts of a building's file: floors, and a function in the plane of all floors.
+
+        ``ValueError`` if ``plane.domain`` differs from ``floors.domain``.
+        """
         ours, given = ((box.lo, box.hi) for box in (floors.domain, plane.domain))
         if not np.array_equal(ours, given):
             raise ValueError("its floors do not lie in its domain")

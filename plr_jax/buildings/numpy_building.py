@@ -43,9 +43,9 @@ class NumpyBuildingPLR(OnFloors):
     def which(self, floor: ArrayLike, x: ArrayLike) -> Any:
         """Return the index ``(n,)`` of the link that paths take first: -1 if they take none, -2 without a path.
 
-        Of several goals, -1 does not tell which one: build a PLR of each goal, and compare their distances. If paths
-        by two links are about equally long, either link may be the answer. The leaves must be cones, else
-        ``ValueError``.
+        If there are several goals, -1 does not tell which goal is nearest: build a PLR of each goal, and compare
+        their distances. If paths by two links are about equally long, either link may be the answer. The leaves must
+        be cones, else ``ValueError``.
         """
         return self.floors.next_links(self.plane.which(self.floors.in_plane(floor, x)))
 

@@ -74,7 +74,7 @@ class Boundary(PickledWithoutCaches):
         return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
     def touches_contact(self, shapes: Any, distance: float) -> Bool[np.ndarray, " n"]:
-        """Return whether each Shapely shape comes within ``distance`` of a contact (see :attr:`contacts`)."""
+        """Return whether each Shapely shape comes within ``distance`` of a point where the region touches itself."""
         touches = np.zeros(len(shapes), dtype=bool)
         touches[self.contact_tree.query(shapes, predicate="dwithin", distance=distance)[0]] = True
         return touches

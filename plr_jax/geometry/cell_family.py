@@ -149,7 +149,7 @@ class FamilyCells(NamedTuple):
 
 
 class FamilyGoal(NamedTuple):
-    """A goal for :func:`cells_of_goals`: the distances of corners to it, where paths turn, and what it sees."""
+    """A goal with its sources, turn points and visibility polygon, as :func:`cells_of_goals` takes it."""
 
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn

@@ -55,7 +55,7 @@ class Shadows(NamedTuple):
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
-        """Find the shadows of all viewpoints of a visibility table."""
+        """Find all segments across which the visibility from a viewpoint of the table changes: see the class."""
         # 1. The first interval of each viewpoint starts at the cut, every other one at a vertex. Find unit vectors
         #    towards these vertices.
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
@@ -456,10 +456,10 @@ class CellSources:
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
-    """Return the :class:`Sight` of sources with known distances to the goal: the goals, then all corners.
+    """Return data to test to which of the goals and corners shortest paths from a convex piece may go first.
 
-    Source ``i`` is viewpoint ``i`` of the visibility ``table``. ``turns`` are the corners where paths to the goal may
-    turn first.
+    ``sources`` has the ``num_goals`` goals, then all corners, with their distances to the goal; source ``i`` is
+    viewpoint ``i`` of the visibility ``table``. ``turns`` are the corners where paths to the goal may turn first.
     """
     index = np.arange(len(sources.points))
     turn = np.full(len(index), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
@@ -481,10 +481,10 @@ def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return a :class:`Sight` whose sources are all corners, without a goal, and without distances to it.
+    """Return data to test which corners a convex piece of free space sees, and at which of them paths may turn.
 
-    Each corner is a source twice, once for each direction in which paths bend around the corner: see
-    :func:`turns_by_side`.
+    The :class:`Sight` has each corner twice, once for each direction in which paths bend around the corner: see
+    :func:`turns_by_side`. There is no goal, and all distances to it are ``inf``.
     """
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)

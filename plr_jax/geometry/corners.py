@@ -301,8 +301,8 @@ class TurnRegions(NamedTuple):
     def of(turns: TurnPoints, triangulation: Triangulation, views: Viewpoints) -> "TurnRegions":
         """List, for each triangle of free space, the turn points that see a part of the triangle within their cone.
 
-        The cone of a turn point holds the directions from which a shortest path can come to turn there. ``views`` are
-        the turn points as viewpoints.
+        A turn point is a corner where paths to a goal may turn first. Its cone has all points from which a shortest
+        path can turn there, if no wall is in between. ``views`` are the turn points as viewpoints.
         """
         visits = triangles_within(triangulation, views, *turns.bounds)
         return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))

@@ -80,7 +80,7 @@ class Viewpoints:
         return Viewpoints(self.points[of], np.flatnonzero(np.isin(of, self.owner)), self.edge[order]), of
 
     def joins(self, view: Indices, other: "Viewpoints", of_other: Indices) -> Bool[np.ndarray, " pairs"]:
-        """Return whether a path may pass between viewpoints ``view[i]`` and ``of_other[i]``, the latter of ``other``.
+        """Return whether a path may pass between viewpoint ``view[i]`` and viewpoint ``of_other[i]`` of ``other``.
 
         The result is False if both viewpoints lie at one point, but look into different sectors.
         """
@@ -141,7 +141,7 @@ class _Cones:
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    """Return the first :class:`_Cones`: from each viewpoint through sides of the triangles that contain it."""
+    """Return the first cones of sight: from each viewpoint through sides of the triangles that contain it."""
     # 1. Viewpoints without sectors look through all three sides of their triangle.
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)
     triangle, _ = triangulation.locate(views.points[around])
@@ -170,7 +170,7 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
 
 
 def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Expand :class:`_Cones`: yield cones that end at walls, pairs (viewpoint, vertex seen), triangles visited."""
+    """Expand cones of sight: yield cones that end at walls, pairs (viewpoint, vertex seen), and triangles visited."""
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
         # 1. Cones through walls end. The others go on.
@@ -274,7 +274,7 @@ class VisibilityTable(NamedTuple):
 
     @property
     def blur(self) -> float:
-        """Upper bound of the rounding errors in ``key``, the directions at which intervals start, as numbers."""
+        """Upper bound of the rounding errors in ``key``, the numbers that order directions around viewpoints."""
         return _key_error(len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, " n"]:
@@ -335,10 +335,10 @@ class VisibilityTable(NamedTuple):
 
 
 def _keys(view: Indices, cut: Vectors, directions: Rays) -> Numbers:
-    """Return keys: 4 times the viewpoint's index, plus the pseudo-angle of a direction from the viewpoint's cut.
+    """Return numbers that order directions by viewpoint, then by the angle from the viewpoint's cut.
 
-    Keys sort directions by viewpoint, then counterclockwise. A cut is a direction in which the viewpoint sees no
-    vertex. For pseudo-angles, see :func:`pseudo_angle`.
+    The cut is a direction in which the viewpoint sees no vertex. The number is 4 times the viewpoint's index plus the
+    pseudo-angle between cut and direction (:func:`~plr_jax.geometry.vectors.pseudo_angle`).
     """
     # The direction d has the coordinates (c . d, c x d) along and across the cut c.
     (cx, cy), (dx, dy) = cut[view].T, directions
@@ -346,7 +346,7 @@ def _keys(view: Indices, cut: Vectors, directions: Rays) -> Numbers:
 
 
 def _key_error(num_views: int) -> float:
-    """Return an upper bound of the rounding errors of keys, the numbers that :func:`_keys` returns."""
+    """Return an upper bound of the rounding errors of the numbers that :func:`_keys` returns."""
     return _BLUR + np.spacing(8.0 * num_views)
 
 
@@ -366,7 +366,7 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
 
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
-    """Return the table of viewpoints, which are few enough for one pass, and pairs (viewpoint, visible vertex)."""
+    """Return the visibility table of viewpoints, few enough for one pass, and pairs (viewpoint, visible vertex)."""
     # 1. Collect the cones that end at walls and the visible vertices, among them corners of triangles at viewpoints.
     boundary, index = triangulation.boundary, np.arange(len(views.points))
     cones = _first_cones(triangulation, views)
@@ -400,10 +400,7 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
 
 
 def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vectors:
-    """Choose a cut for each viewpoint: a direction in which it sees no vertex.
-
-    ``cones`` are the viewpoints' cones of sight that end at walls.
-    """
+    """Choose a cut for each viewpoint, a direction in which it sees no vertex, from the cones that end at walls."""
     # 1. The middle of the gap after the first sector. If that is the only sector, the gap ends where it opens.
     #
     #       second sector \  gap  / first sector
@@ -436,8 +433,8 @@ def _choose_cuts(boundary: Boundary, views: Viewpoints, cones: _Cones) -> Vector
 def _exact_order(view: Indices, key: Numbers, directions: Rays, num_views: int) -> Indices:
     """Return the indices that sort directions by viewpoint, then counterclockwise from the viewpoint's cut.
 
-    The order is that of ``key`` (see :func:`_keys`) or, where keys are equal up to rounding, of an exact test.
-    ``directions`` are vectors ``(dx, dy)``.
+    The numbers ``key``, computed by :func:`_keys`, decide; where they are equal up to rounding, an exact test does.
+    The cut is a direction in which the viewpoint sees no vertex. ``directions`` are vectors ``(dx, dy)``.
     """
     # Swap neighbors in the wrong order: row k of `order` and row k + 1, for each k in `near`. Swaps of one round must
     # not overlap. Test the neighbors of swapped rows again.

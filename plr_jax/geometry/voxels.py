@@ -139,10 +139,11 @@ class VoxelGrid:
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
         """Contacts: edges and corners of voxels around which free voxels are not all connected through common faces.
 
-        Each item is a pair: axes, and a table that counts contacts in ranges of indices. The axes ``(0, 1)`` stand
-        for edges along z, all axes for corners. In the table of edges along z, entry ``[i, j, k]`` is the edge of
-        voxels number ``k`` along z that lies between voxels ``i`` and ``i + 1`` along x, and ``j`` and ``j + 1``
-        along y. Tables of other contacts are indexed alike.
+        Each item is a pair ``(across, table)`` for contacts between voxels that differ along the axes ``across``. In
+        3 dimensions, these are edges along z for ``(0, 1)``, and corners for ``(0, 1, 2)``. The table counts contacts
+        in ranges of indices. For edges along z, index ``(i, j, k)`` is the edge at the upper end of voxel ``(i, j,
+        k)`` along x and y: it lies between voxels ``i`` and ``i + 1`` along x, and between voxels ``j`` and ``j + 1``
+        along y.
         """
         several = (across for num in range(2, self.dim + 1) for across in combinations(range(self.dim), num))
         contacts = ((across, are_disconnected(self.padded, across)) for across in several)
@@ -194,7 +195,8 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 def are_disconnected(cells: Cells, across: Sequence[int]) -> Cells:
     """Return, for each face, edge or corner between true ``cells``, whether common faces fail to connect the cells.
 
-    The axes ``across`` are normal to these faces, edges or corners; the result is one entry shorter along them.
+    The ``2**len(across)`` cells around a face, edge or corner differ in their indices along the axes ``across``.
+    Along these axes, the result is one entry shorter than ``cells``.
     """
     # Bit i of `around` says whether cell i of the ``2**len(across)`` cells around is true.
     around = np.zeros([n - (axis in across) for axis, n in enumerate(cells.shape)], np.uint16)
@@ -214,7 +216,7 @@ def are_parted(free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, " n"]:
 
 
 def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
-    """Return tests whether boxes of ``domain`` contain cells that reach a goal, or free cells that do not.
+    """Return tests whether boxes in ``domain`` hold cells that reach a goal, or free cells that do not.
 
     The grid of cells fills ``bounds``. ``reached`` is true for cells that reach the goal, ``cut_off`` for free cells
     that do not. Array axes are coordinate axes.

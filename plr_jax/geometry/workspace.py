@@ -245,7 +245,7 @@ class Workspace:
         return is_reached & np.isin(np.arange(len(x)), beside)
 
     def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+        """Return tests whether boxes in ``domain`` hold points that reach a goal, or free points that do not.
 
         The result is None if a path leads from every free point to one of the ``goals``.
         """

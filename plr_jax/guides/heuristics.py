@@ -5,11 +5,14 @@ costs at least its length. Three functions give lower bounds:
 
 | goals | heuristic | bytes |
 | --- | --- | --- |
-| one | `plr.lower(x)` of a `plr_jax.PLR` with `certified=True` | about 1 KB |
+| one | `plr.lower(x)` of a `plr_jax.PLR` with `certified="leaves"` | about 1 KB |
 | a fixed list | `stack.lower(index, x)` of a `plr_jax.stack` of such PLRs | about 1 KB a goal |
 | any point | `pairs.bounds(x, y)[0]` of a `plr_jax.PairPLR` | about 1 to 4 KB in all |
 
-For many goals, the bounds of a `PairPLR` are nearer to the distances, and those of a stack take less time:
+`certified="leaves"` proves bounds for each leaf. With `certified=True`, a file of 1 KB has room for one error of the
+whole map only, so that a single leaf of large error spoils the bound everywhere.
+
+For many goals, the bounds of a `PairPLR` are nearer to the distances than those of a stack, but take more time:
 `plr_jax.guides.any_two_points` compares them.
 
 Bounds of PLRs jump between leaves, so A* must reopen a node when it finds a shorter path to that node. Evaluate all

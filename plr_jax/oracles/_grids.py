@@ -59,7 +59,7 @@ class _CellGraph(ABC):
         return self._to_goal[self._cells_of("x", x)]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+        """Return tests whether boxes in ``domain`` hold points that reach the goal, or free points that do not.
 
         Paths lead from cell to cell.
         """
@@ -376,7 +376,7 @@ class GridField:
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of a domain hold cells with a distance, or free cells without a distance."""
+        """Return tests whether boxes in ``domain`` hold cells with a distance, or free cells without a distance."""
         reached = np.isfinite(self.values).T
         return reach_of_cells(reached, self.free.T & ~reached, self.bounds, domain)
 

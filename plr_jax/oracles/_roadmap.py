@@ -236,7 +236,7 @@ class Roadmap:
         return oracle
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+        """Return tests whether boxes in ``domain`` hold points that reach the goal, or free points that do not.
 
         Paths are those of the workspace, not of the roadmap. The result is None if a path leads from every free
         point, or if the roadmap was not built from a workspace.

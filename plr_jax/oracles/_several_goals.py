@@ -69,7 +69,7 @@ class NearestGoal(_arrays.PickledWithoutCaches):
         return self._paths.cell_sources if self._graphs else None
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+        """Return tests whether boxes in ``domain`` hold points that reach a goal, or free points that do not.
 
         The result is None if a path leads from every free point to a goal, or if the distance functions are not
         VisibilityGraphs of one workspace.

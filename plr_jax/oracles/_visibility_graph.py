@@ -198,7 +198,7 @@ class VisibilityGraph(PickledWithoutCaches):
         return self._first_turns(self._points("x", x))[0]
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to the goal.
+        """Return tests whether boxes in ``domain`` hold points that reach the goal, or free points that do not.
 
         The result is None if a path leads from every free point.
         """
@@ -352,9 +352,9 @@ class NearestPaths:
     """Shortest paths in a workspace to the nearest of several goals, each of which may cost something to use.
 
     Paths may also take the arcs of :class:`CornerVisibility`, such as links of a building. The *sources* are the
-    goals, without copies, then the corners. A *root* is a source that is a goal where the path ends, or from which
-    the path takes an arc. A root at goal ``i`` has the number ``i``. A root whose path takes arc ``i`` has the number
-    ``g + i``, where ``g`` is the number of goals.
+    goals (the cheapest at each point), then the corners. A *root* is a source that is a goal where the path ends,
+    or from which the path takes an arc. A root at goal ``i`` has the number ``i``. A root whose path takes arc ``i``
+    has the number ``g + i``, where ``g`` is the number of goals.
     """
 
     dim: ClassVar[int] = 2
@@ -426,7 +426,7 @@ class NearestPaths:
         return np.where(source < 0, -1, self.root_numbers[path_ends(self.sources.parents)[source]])
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return tests whether boxes of ``domain`` hold free points with, or free points without, a path to a goal.
+        """Return tests whether boxes in ``domain`` hold points that reach a goal, or free points that do not.
 
         The result is None if a path leads from every free point to a goal.
         """

@@ -22,8 +22,8 @@ class BuildingPairs(OnFloors):
         pairs((0, x), (2, y))  # (n,), from points x (n, 2) of floor 0 to points y of floor 2
 
     A path may take links. With one-way links, the distance back may differ. BuildingPairs are a pytree of the arrays
-    of their ``plane``, a :class:`PairPLR`. If there are links, ``pairs.plane.prepared``, ``pairs.plane.to`` and
-    ``pairs.plane.js_module`` raise ``ValueError``.
+    of their ``plane``, a :class:`PairPLR` of the plane in which all floors lie side by side. If there are links,
+    ``pairs.plane.prepared``, ``pairs.plane.to`` and ``pairs.plane.js_module`` raise ``ValueError``.
     """
 
     def __call__(self, x: Places, y: Places) -> Any:
@@ -31,7 +31,8 @@ class BuildingPairs(OnFloors):
 
         Both are pairs ``(floor, points)``: an index or an array ``(...)`` of indices, and points ``(..., 2)``, else
         ``ValueError``. The distance is ``inf`` without a path and outside a floor's bounds. :func:`construct_pairs`
-        states the errors, in widths of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``.
+        states the errors, in widths of the domain of ``plane``. Works under ``jax.jit``, ``jax.vmap`` and
+        ``jax.grad``.
         """
         return self.plane(*map(self.floors.places_in_plane, (x, y)))
 
@@ -40,5 +41,5 @@ class BuildingPairs(OnFloors):
         return self.plane.bounds(*map(self.floors.places_in_plane, (x, y)))
 
     def numpy(self) -> "BuildingPairs":
-        """Return the same function in NumPy: its ``plane`` is :meth:`PairPLR.numpy`. It cannot be saved."""
+        """Return the same function in NumPy, with ``plane.numpy()`` as its ``plane``; the result cannot be saved."""
         return BuildingPairs(self.floors, self.plane.numpy())

@@ -165,7 +165,10 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return leaves and lists of the smaller tree in which only nodes of priority above ``key`` are halved."""
+        """Return the leaves, and their lists of corners, of a smaller tree.
+
+        In the smaller tree, only nodes of priority above ``key`` are halved.
+        """
         # Keys are at most the parent's, so all ancestors of a halved node are halved, too.
         leaves = np.flatnonzero((self.parent_key > key) & (self.is_leaf | (self.key <= key)))
         return self.cells[leaves], self.lists[leaves]
@@ -350,8 +353,9 @@ def corners_in_outline(
     """Return the indices of outline points that are corners, ascending, and for each the index of a workspace corner.
 
     ``vertex`` is the index of the boundary vertex at each point of the outline, -1 for none. ``corner_of_vertex`` is
-    the index of the workspace corner at each vertex, -1 for none. If paths may squeeze through contacts
-    (``squeezes``), all points of the outline at a closed contact become corners.
+    the index of the workspace corner at each vertex, -1 for none. If paths may squeeze between
+    obstacles that touch (``squeezes``), all outline points at a contact that :func:`with_open_contacts` left closed
+    become corners.
     """
     # 1. Find the points of corners, and choose one point for each corner: the first reflex one, else the first one.
     of_point = np.append(corner_of_vertex, -1)[vertex]  # the last entry is for vertex -1

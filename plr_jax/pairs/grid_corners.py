@@ -255,7 +255,9 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
-    """Distances between all obstacle corners: those between centers near them, plus small differences.
+    """Distances between all obstacle corners, each stored as a small difference from a distance between two centers.
+
+    A center is a corner that represents the corners near it.
 
     ::
 
@@ -328,9 +330,11 @@ class CornerLabels:
 
 
 def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
-    """Return the path lengths between all obstacle corners of a grid, as a table or, for many corners, as labels.
+    """Return the path lengths between all obstacle corners of a grid.
 
-    ``ValueError`` if there are too many corners, or paths are too long.
+    The result is a :class:`CornerTable` of all pairs of corners or, for many corners, :class:`CornerLabels`, which
+    have the path lengths from each corner to its ancestors in a tree. ``ValueError`` if there are too many corners,
+    or paths are too long.
     """
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds two straight legs
     if most < 0:
@@ -382,10 +386,11 @@ def _compressed(distances: Int32[np.ndarray, "corners corners"], connectivity: i
 
 
 def _eliminated(edges: _Edges, progress: Progress) -> tuple[list[int], _Edges]:
-    """Eliminate all corners; return their order, and the edges of each corner to corners eliminated later.
+    """Eliminate all corners of a graph; return their order, and each corner's edges to corners eliminated later.
 
-    ``edges[i]`` maps each neighbor of corner ``i`` to the length of the edge. It is modified in place, and becomes
-    the second result: the edges that corner ``i`` has when it is eliminated.
+    To eliminate a corner, join its neighbors by edges as long as the path through the corner. ``edges[i]`` maps each
+    neighbor of corner ``i`` to the length of the edge. It is modified in place, and becomes the second result: the
+    edges that corner ``i`` has when it is eliminated.
     """
     # 1. Choose the corner with the least sum of the number of its neighbors and its level: elimination joins all
     #    neighbors to one another, and the tree of ancestors should be shallow. The level is the length of the longest

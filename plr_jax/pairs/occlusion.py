@@ -230,7 +230,8 @@ def _near_entries(
 def _near_pairs(hulls: Hulls, entry: Pairs, walls: Walls, wall: Pairs, margin: float) -> Int[np.ndarray, " near"]:
     """Return the indices ``k`` for which the hull of index ``entry[k]`` and the wall of index ``wall[k]`` are near.
 
-    No pair within ``margin`` of one another is missing; a few pairs are farther apart.
+    A hull is the convex hull of a leaf's box and a corner, given by the box's two corners and this corner. No pair
+    within ``margin`` of one another is missing; a few pairs are farther apart.
     """
     # A wall is apart if an axis across a side of the hull or across the wall separates both by more than the margin.
     # Below, `u x v` is the cross product, positive if v is to the left of u.

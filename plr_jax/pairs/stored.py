@@ -341,7 +341,7 @@ class PairsFileData:
 
     @property
     def num_corners(self) -> int:
-        """Number of corners at which paths may turn: corners of obstacles, and the :attr:`places`."""
+        """Number of corners at which paths may turn: corners of obstacles, and ends of links (:attr:`places`)."""
         return len(self.points)
 
     def to_bytes(self) -> bytes:

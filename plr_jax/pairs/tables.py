@@ -152,10 +152,11 @@ def _bounds_to_leaves(
     halves: Float[np.ndarray, "rows 2"],
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
-    """Return `PairTables.onward`: for each leaf and corner, a lower bound of path lengths from corner to leaf.
+    """Return a lower bound of path lengths from each corner to the points of each leaf: ``PairTables.onward``.
 
     Paths turn last at one of the corners that the leaf lists, and end at a point of the leaf. The bound is a linear
-    function of this point, packed in 32 bits, with lengths in units of ``step``. ``distances[k, a]`` is the path
+    function of this point, packed in 32 bits: its value at the leaf's center, as an integer in units of the length
+    ``step``, and its rounded slopes. ``distances[k, a]`` is the path
     length from corner ``a`` to corner ``k``, and ``corners[k]`` is the position of corner ``k``. ``listed[i]`` has
     the indices of the corners that leaf ``i`` lists. The box of leaf ``i`` has the center ``middles[i]`` and the half
     widths ``halves[i]``.

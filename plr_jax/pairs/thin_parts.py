@@ -42,8 +42,9 @@ def are_thin(outline: Outline, free_space: Any, width: float) -> Bool[np.ndarray
 def with_thin_parts(outline: Outline, vertex: Int[np.ndarray, " _"], free_space: Any, width: float) -> VertexOutline:
     """Cut walls that are thin only in part, and mark the thin walls of the outline.
 
-    ``vertex`` is the index of the boundary vertex at each point of the outline. Return the new outline, and the
-    vertex at each of its points, -1 at cuts. A sharp tip between thin walls gets two points with the same vertex.
+    A wall is thin where moving it into its obstacle would bring it near free space on the other side. ``vertex`` is
+    the index of the boundary vertex at each point of the outline. Return the new outline, and the vertex at each of
+    its points, -1 at cuts. A sharp tip between thin walls gets two points with the same vertex.
     """
     if not any((spans := _thin_spans(outline, free_space, width)).values()):
         return outline, vertex
@@ -96,7 +97,8 @@ def with_thin_parts(outline: Outline, vertex: Int[np.ndarray, " _"], free_space:
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _Spans]:
     """Return the thin parts of walls: for the index of a wall, intervals of the distance from the wall's start.
 
-    The intervals of a wall are ascending and disjoint. Walls without an entry are not thin.
+    A wall is thin where moving it into its obstacle would bring it near free space on the other side. The intervals
+    of a wall are ascending and disjoint. Walls without an entry are not thin.
     """
     reach = RECEDING * width
     following = outline.following_past_contacts

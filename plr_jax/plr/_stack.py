@@ -43,9 +43,10 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 def trie_levels(bits: PerAxis) -> list[PerAxis]:
     """Choose the grids of a trie's levels: return how often each grid halves each axis of the domain.
 
-    The first array is 0 (the whole domain), the last is ``bits``, the halvings of the finest leaves. The first level
-    has up to ``2**_FIRST_BITS`` cells. The other halvings are spread evenly over as few levels as possible, with at
-    most ``_PAGE_BITS`` halvings in each.
+    A trie is a lookup table that a query reads level by level, from a coarse grid to finer grids. The first array is
+    0 (the whole domain), the last is ``bits``, the halvings of the finest leaves. The first level has up to
+    ``2**_FIRST_BITS`` cells. The other halvings are spread evenly over as few levels as possible, with at most
+    ``_PAGE_BITS`` halvings in each.
     """
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for levels_left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
@@ -55,7 +56,7 @@ def trie_levels(bits: PerAxis) -> list[PerAxis]:
 
 
 def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[PerAxis]) -> Trie:
-    """Build the trie of several PLRs.
+    """Build the trie of several PLRs, a lookup table that a query reads level by level, from coarse to fine.
 
     ``partitions`` has the leaves of each PLR, ``rows`` the row of each leaf in the table of leaf parameters, and
     ``levels`` the result of :func:`trie_levels`. ``ValueError`` if leaves are too deep or entries are too many.
@@ -94,7 +95,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
 def _pages(
     cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, " entries"]]:
-    """Yield the trie's entries for one PLR, an array for each level.
+    """Yield one PLR's entries in a trie (a lookup table read level by level), an array for each level.
 
     ``row`` has the index of each leaf's row of parameters, ``levels`` the result of :func:`trie_levels`.
     ``next_start`` is the index in the trie at which the PLR's second level begins.
@@ -176,7 +177,7 @@ class _SameShapeGroup:
         return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        """Return tables that evaluate another PLR at each point; ``which`` has the index of this PLR in the group."""
+        """Return tables that evaluate a different PLR at each point: the PLR of index ``which`` in the group."""
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
         for i, (array, shape) in enumerate(zip(arrays, self.shapes, strict=True)):
             if shape is not None:

@@ -101,7 +101,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
 
 
 def trace_by_sources(plr: PLR, starts: ArrayLike, workspace: "Workspace | None") -> tuple[Traces, Indices]:
-    """Trace paths as :func:`trace`; also return the index of the first source on each path, -1 without a path."""
+    """Trace paths as :func:`trace`; also return the index of each path's first source (corner or goal), or -1."""
     require_type("plr", plr, PLR, "a PLR of cones")
     as_sourced(plr.leaf)
     sources, source_of_leaf = plr.stored.sources, plr.stored.source
@@ -216,7 +216,7 @@ class _SourceSight:
         return first, is_free
 
     def _sees(self, source: Indices, x: Points) -> Bool[np.ndarray, " n"]:
-        """Return whether each point ``x[i]`` sees the source ``source[i]``, up to the tolerance."""
+        """Return whether point ``x[i]`` sees source ``source[i]``, up to the rounding of sources in files."""
         view = self._view[source]
         sees = view >= 0
         sees[sees] = self._table.sees(view[sees], x[sees])

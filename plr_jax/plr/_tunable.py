@@ -27,6 +27,7 @@ from plr_jax.plr.tables import Tables
 def parameter_map(contents: DecodedFile, tables: Tables, origin: Corner) -> tuple[Any, ...]:
     """Return the linear map from changes of free values to changes of the parameters that a query reads.
 
+    Free values are the numbers in a file that determine all leaf functions: see :meth:`LinearLeafModel.free_values`.
     ``tables`` are lookup tables of the file for points relative to ``origin``. The map consists of these arrays:
 
     - the free values of the file, ``(values,)``, in 64 bits on the host, and in 32 bits;
@@ -151,8 +152,9 @@ class TunablePLR:
         :meth:`PLR.with_nearest_goal`, since the nearest goal may change with the values.
 
         Args:
-            max_bytes: Most bytes of the file. The values are then rounded to the finest step, within 9%, whose file
-                is that small. None: values have the resolution of the file from which the PLR was made.
+            max_bytes: Most bytes of the file. Values are rounded to numbers a step apart. The result has the finest
+                step tried with which the file is that small; each step tried is 9 % larger than the one before.
+                None: values have the resolution of the file from which the PLR was made.
 
         Raises:
             ValueError: If values have another shape than the initial values, are not finite or too large; or if the

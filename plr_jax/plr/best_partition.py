@@ -284,7 +284,7 @@ class PriceSearch:
         return replace(tree, num_bytes=self._size(self.levels, tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
-        """Return the share of the limits that a tree uses, more than 1 if the tree exceeds a limit."""
+        """Return the share of the allowed leaves or bytes that a tree uses, whichever is larger; may exceed 1."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
@@ -309,7 +309,10 @@ class PriceSearch:
         return replace(fits, is_final=True)
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
-        """Return the tree of known boxes with the least sum of leaves' costs and prices."""
+        """Return the tree, of boxes computed so far, with the least sum of its leaves' costs plus ``price`` per leaf.
+
+        ``weight`` multiplies the largest error of a leaf in the leaf's cost.
+        """
         # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
         #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
         #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win. Unknown halves (-1) cost inf.

@@ -39,7 +39,8 @@ _BOUND_OF_CODE = decode_bounds(np.arange(LARGEST_CODE + 1), 1.0)  # in units of 
 def classify_bounds(codes: Codes, volume: Float[np.ndarray, " leaves"], max_bits: int) -> Codes:
     """Group leaves into classes that share error bounds, so that the bounds take at most ``max_bits`` bits in a file.
 
-    ``codes`` has codes of each leaf's own lower (row 0) and upper (row 1) bound. Return the codes of the shared
+    ``codes`` has each leaf's own lower (row 0) and upper (row 1) bound, as integers from 0 to 255 on a logarithmic
+    scale, of which larger ones stand for wider bounds. Return the codes of the shared
     bounds, in the same shape. The sum over the leaves of ``volume`` times the width of the shared bounds is kept
     small.
     """
@@ -111,7 +112,10 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
-    """Write the column of ``codes`` of each leaf: first all distinct columns, then which leaf has which column."""
+    """Write each leaf's column of ``codes``, its coded lower and upper error bound.
+
+    The file gets all distinct columns, then which leaf has which column.
+    """
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
     classes = np.stack(np.divmod(key, 1 << CODE_BITS))
     order = np.argsort(-size, kind="stable")  # the largest class first, so that later sets are small

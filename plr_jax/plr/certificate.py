@@ -83,8 +83,8 @@ class LeafFunctions(Rows):
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, " leaves"]:
         """Return an upper bound of ``|distance - leaf function|`` in each leaf, which is a cell of ``visible``.
 
-        The error may exceed the bound by ``visible.slack``. The bound is 0 in a leaf without points that reach the
-        goal.
+        The error may exceed the bound by ``visible.slack``, the uncertainty of distances. The bound is 0 in a leaf
+        without points that reach the goal.
         """
         lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)

@@ -169,7 +169,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file; ``ValueError`` if it is invalid. A file with several layers may lack the last ones."""
+        """Decode a file; ``ValueError`` if it is invalid. A file of several layers may lack its last layers."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)

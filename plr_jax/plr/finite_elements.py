@@ -69,8 +69,8 @@ class NodalSpace(NamedTuple):
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " leaves"]) -> NodalSpace:
     """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
 
-    Leaves marked ``unreachable``, from which the goal cannot be reached, have no values. ``ValueError`` if the
-    constraints have too many weights.
+    Leaves marked ``unreachable``, from which the goal cannot be reached, have no values. ``ValueError`` if the linear
+    constraints between values at corners of leaves have too many weights.
     """
     from scipy.sparse import csr_array
 

@@ -58,7 +58,7 @@ class Folding:
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
-        """The mirrors with more than the fraction ``_CUT`` of the domain's width on each side."""
+        """The mirrors that cut the domain: more than the fraction ``_CUT`` of its width lies on each side."""
         lo, hi = self._range_before_mirroring
         pairs = zip(self.mirrors, self.pivots, strict=True)
         return tuple(mirror for mirror, pivot in pairs if min(-lo[pivot], hi[pivot]) > _CUT * (hi - lo)[pivot])

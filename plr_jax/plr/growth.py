@@ -100,7 +100,7 @@ Leaves: TypeAlias = Int[np.ndarray, " leaves"]  # indices of the nodes that are 
 
 @dataclass(frozen=True, eq=False)
 class Nodes(Rows):
-    """The nodes of a growing tree, parents before children; ``len`` is the number of leaves."""
+    """A table of the nodes of a growing tree, parents before children; its ``len`` is the number of leaves."""
 
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
@@ -269,7 +269,7 @@ NodesOf: TypeAlias = Callable[[CellFit, Priorities], Nodes]
 
 
 class Encoding(NamedTuple):
-    """The size of files, and the rounding error of stored leaves, by the number of bits per stored value."""
+    """The size of a file and the rounding error of its leaves, as functions of the number of bits per value."""
 
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value

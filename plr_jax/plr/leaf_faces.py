@@ -284,12 +284,12 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 def nodes_in_faces(
     cells: Cells, faces: SharedFaces, axis: int, nodes: Float[np.ndarray, "nodes dim"]
 ) -> tuple[Pairs, Float[np.ndarray, "2 points dim"]]:
-    """Return the nodes of faces perpendicular to ``axis``, each as a point of both leaves that share the face.
+    """Return certain points of all faces perpendicular to ``axis``, as points of both leaves that share the face.
 
-    ``nodes`` are positions in a cell, from 0 to 1 along each axis; those with coordinate 0 along ``axis`` are the
-    nodes of a face, scaled to the part that both leaves share. The results have the leaf of each point, and the
-    point's position in the leaf, from 0 to 1 along each axis. Index 0 on their first axis is for the lower leaf,
-    index 1 for the upper leaf.
+    ``nodes`` are positions in a cell, from 0 to 1 along each axis, such as its corners. Nodes with coordinate 0 along
+    ``axis`` give the points, scaled to the part of the face that both leaves share. The results have the leaf of each
+    point, and the point's position in the leaf, from 0 to 1 along each axis. Index 0 on their first axis is for the
+    lower leaf, index 1 for the upper leaf.
     """
     faces = faces[faces.axis == axis]
     x = face_points(cells, faces, nodes[nodes[:, axis] == 0])
@@ -300,7 +300,7 @@ def nodes_in_faces(
 
 
 def leaves_at_corners(tree: Tree) -> Int[np.ndarray, "nodes corners"]:
-    """Return the leaf in each corner of each node."""
+    """Return, for each node of a tree and each corner of the node's cell, the index of the leaf in this corner."""
     # Upward from the leaves: the leaf in a corner of a split node is in the same corner of one of its halves.
     bits = corner_bits(tree.cells.dim)
     leaf_at = np.repeat(tree.leaf_of_node[:, None], len(bits), axis=1)

@@ -339,7 +339,7 @@ def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     """Give planes to the cells in which free space, but no sample, reaches the goal; return the changed fit.
 
     Each plane is tangent to the distance at a point of the free space. All other cells keep their planes. Without
-    ``sampler.cache``, nothing changes.
+    ``sampler.cache``, a :class:`SourceCache`, nothing changes.
     """
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.cache is None or not len(unseen):
@@ -416,7 +416,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
 
 
 def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
-    """Return the weights of samples in fits; if all of a cell's are 0, each sample that reaches the goal gets 1."""
+    """Return the weights of samples in fits; in a cell where all are 0, samples that reach the goal get 1."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 

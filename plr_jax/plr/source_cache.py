@@ -28,7 +28,7 @@ class SourceCache:
         self._remember(Cells.root(2), root)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells, which are then cached, and so are cells that contain them."""
+        """Return the sources of cells; cache them, and the sources of larger cells from which they come."""
         if len(new := cells[np.flatnonzero(~self._knows(cells))]):
             # 1. Find the parent of which each new cell is a half: the cell that is twice as wide along the first axis
             #    if it is cached, else along the second axis. A parent that is not cached comes from its own parent.

@@ -54,7 +54,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays, one for each query point, in one flat array.
+    """Small arrays, one for each query point, in one flat array: data of the PLR of a stack that the point queries.
 
     ``t[i, j]`` reads entry ``[i, j]`` of every small array.
     """

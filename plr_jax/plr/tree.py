@@ -17,8 +17,8 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 class Rows:
     """A base class of dataclasses whose columns have one row for each item.
 
-    Columns are the arrays, and objects with a method ``append``, such as other ``Rows`` or the sources of cells.
-    Indexing selects the same rows of all columns.
+    The columns are those fields that are NumPy arrays, or objects with a method ``append``, such as other ``Rows``
+    or :class:`CellSources`. Indexing selects the same rows of all columns.
     """
 
     def __len__(self) -> int:

@@ -81,8 +81,9 @@ def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bou
         field(x)  # distances (n,) to the goal from points x, (n, 2)
 
     Distances have gradients with respect to vertices, goals and points. Where two paths are equally short, the
-    gradient is that of one of them. From a corner, the path starts to its next turn. All arguments may be created
-    in ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in tracing.
+    gradient is that of one of them. At a corner of a polygon, it is that of the segment to the path's next turn. All
+    arguments may be created in ``jax.jit`` and batched by ``jax.vmap``. Invalid shapes raise ``ValueError``, also in
+    tracing.
 
     Polygons may overlap and touch. Paths may touch walls, but not pass between two polygons that touch in a point.
     Distances are those of ``VisibilityGraph`` in ``Workspace(bounds, polygons)``, with these exceptions:
@@ -99,8 +100,8 @@ def polygon_distance(polygons: ArrayLike, goal: ArrayLike | None, *, bounds: Bou
     Args:
         polygons: Simple polygons, ``(m, k, 2)``, clockwise or counterclockwise, not necessarily convex. Distances
             are wrong, without an error, if a polygon crosses itself: they may even be ``inf`` outside. Pad polygons
-            of fewer vertices by repeated vertices or by rows of NaN. Of equal vertices, one has the gradient. At most
-            256 vertices, ``m * k``, with padding.
+            of fewer vertices by repeated vertices or by rows of NaN (after you rotate or scale them: in gradients, 0
+            times NaN is NaN). Of equal vertices, one has the gradient. At most 256 vertices, ``m * k``, with padding.
         goal: Goal ``(2,)``, or several goals ``(g, 2)``: distances are those to the nearest goal. No path leads to a
             goal that is not free. None: the result is a :class:`PolygonDistances`, of pairs of points.
         bounds: The region's ``Box``, or its corners ``((x0, y0), (x1, y1))``. Everything outside is blocked,

@@ -175,11 +175,11 @@ def _(primals, tangents):
 def _longest_of_equal(
     first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"], least: Float[Array, "*batch"]
 ) -> Int[Array, "*batch"]:
-    """Return the index of the shortest path.
+    """Return the index, along the last axis, of the shortest path; its length is ``least``, up to rounding.
 
-    Among paths equal up to rounding, the path with the longest first segment counts. If a point sees two corners
-    of its path, the way straight to the farther corner is never longer, but rounding may hide this. A segment
-    from a corner to itself has no direction.
+    A path's length is the sum of its ``first`` segment and the rest, ``onward``. Among paths equal up to rounding,
+    the path with the longest first segment counts. If a point sees two corners of its path, the way straight to the
+    farther corner is never longer, but rounding may hide this. A segment from a corner to itself has no direction.
     """
     return jnp.argmax(jnp.where(first + onward <= _rounded_up(least)[..., None], first, -1), axis=-1)
 

@@ -80,7 +80,10 @@ class PolygonCorners:
         return self.vertices.reshape(-1, 2).astype(dtype)
 
     def placed(self, x: Points) -> tuple[Points, Bool[Array, " n"]]:
-        """Move points near walls to the margin; return the points, and whether each given point is free."""
+        """Move points near walls away from them; return the points, and whether each given point is free.
+
+        Moved points are at the distance ``margin`` from the wall, in free space if possible.
+        """
         x = lax.stop_gradient(x)
         end, distances = lax.scan(self._moved_from_wall, x, jnp.arange(_ROUNDS) == 0)
         # A point on a wall is free if its moved point is: the wall may be a side of two polygons that touch.

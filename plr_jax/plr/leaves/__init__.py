@@ -39,7 +39,8 @@ def code_of_leaf(leaf: LeafModel) -> int:
 def leaf_of_code(code: int) -> LeafModel:
     """Return the leaf model that a code in a file stands for.
 
-    ``ValueError`` if no model has this code; its message begins with "it", for the caller to say which file.
+    ``ValueError`` if no model has this code. Its message begins with "it": the caller puts the name of the file in
+    front.
     """
     if code == PAIRS_CODE:
         raise ValueError("it is a file of distances between any two points; read it with load, which needs JAX")

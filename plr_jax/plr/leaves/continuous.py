@@ -278,8 +278,8 @@ class _Rounds:
         """Fit a function, continuous except across walls, to the samples of all leaves by least squares.
 
         The leaves in ``fit`` may have any order; the result has them from left to right in the tree. Fitted values
-        are rounded to multiples of their mean error, or more coarsely if the byte limit asks for it. The file may
-        still exceed the limit.
+        are rounded to multiples of the mean error of the fit, or more coarsely if the byte limit asks for it. The
+        file may still exceed the limit.
         """
         # 1. Sort the leaves by the tree, and find out which ones share values.
         tree = tree_of(fit.cells)

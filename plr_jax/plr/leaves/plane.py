@@ -52,7 +52,7 @@ class StoredCoefficients(NamedTuple):
         return self.center == unreachable_code(self.bits)
 
     def widths(self, halvings: Int[np.ndarray, "leaves others"]) -> list[Int[np.ndarray, " levels"]]:
-        """Return the bit widths of ``others`` in a file: for each coefficient, an array by number of halvings."""
+        """Return the bit widths of ``others`` in a file: for each coefficient, an array, indexed by ``halvings``."""
         # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
         for index, most in enumerate(halvings.max(axis=0)):
@@ -126,7 +126,7 @@ class IndependentLeafModel(base.LinearLeafModel):
         """
 
     def fit_functions(self, fit: CellFit) -> tuple[CellFit, Coefficients]:
-        """Fit a function to the samples of each cell; return its coefficients, and the fit with its residuals.
+        """Fit a function to the samples of each cell; return ``fit`` with its residuals, and its coefficients.
 
         By default, functions are the planes of ``fit``. A cell without samples that reach the goal may have a plane,
         too (:func:`fill_unsampled_planes`). If the center value of a cell's plane is ``inf``, the first coefficient

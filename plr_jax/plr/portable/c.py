@@ -19,7 +19,10 @@ _WHY = {
 # Bytes of code and of stack: upper limits of what GCC 12 gave with -Os -fno-math-errno for a Cortex-M4. Its doubles
 # are computed by library functions, which are counted. For compact headers, LeafModel.decoder_cost has these bytes.
 _TABLES_COST = (600, 100)  # with tables, in the plane
-_GENERAL_COST = (3_000, 250)  # added for more dimensions, periodic axes, mirrored points, and domains far from 0
+_GENERAL_COST = (
+    3_000,
+    250,
+)  # added for 3 or, twice, more axes; periodic axes, mirrored points, buildings, far domains
 _FLOOR_BYTES = 32  # of tables, for each floor of a building
 # Estimates for cones, measured on four maps with files of 0.5 to 4 KB. Errors of cones were compared with errors of
 # other leaves in files of the same size, and with errors of planes in files of twice the size.
@@ -82,8 +85,8 @@ def cost_in_c(data: bytes, compact: bool = False, num_floors: int = 0) -> list[s
 def _cost_lines(program: Program, tables: int, compact: bool, is_building: bool = False) -> list[str]:
     """Return lines that state the memory of a header with ``tables`` bytes of tables, and the header's functions."""
     is_cone, is_far = isinstance(program.leaf, Cone), program.corner is not None
-    is_special = is_far or program.domain.is_periodic or program.folding_arrays or program.straight
-    added = _GENERAL_COST if program.dim > 2 or is_special else (0, 0)
+    is_special = is_far or is_building or program.domain.is_periodic or program.folding_arrays or program.straight
+    added = np.multiply(_GENERAL_COST, 0 if program.dim <= 2 and not is_special else 1 + (program.dim > 3))
     code, stack = np.add(program.leaf.decoder_cost if compact else _TABLES_COST, added)
     kinds = "float and double" if is_far or is_building or (compact and not is_cone) else "float"
     return [

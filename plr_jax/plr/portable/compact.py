@@ -236,10 +236,11 @@ class _CompactWriter:
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _finish(self, flags: int, decoded: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, " _"]) -> bytes:
-        """Append planes, exceptions and ``rows``, and return all bytes.
+        """Append planes and exceptions (parameters of some leaves), then ``rows``; return all bytes of the PLR.
 
         ``decoded`` are the leaf parameters that the decoder computes. Where a query of the PLR file uses other
-        numbers, these are stored as exceptions.
+        numbers, these are stored: each number as an exception, with its position, or all numbers of a nearly plane
+        leaf as a plane.
         """
         # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
         #    fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
@@ -344,7 +345,7 @@ class _Middles:
             self.corners[lower[:, None] + 1, low] = middle[:, :, 1]
 
     def _code(self, mean: Ints, middle: Ints) -> tuple[Ints, Ints, Ints]:
-        """Return ``mark``, ``narrow`` and ``wide`` of edges from the values m and m', the last axis of ``middle``."""
+        """Return ``mark``, ``narrow`` and ``wide`` (see the class) of edges; the last axis of ``middle`` is m, m'."""
         whole_step = 1 << self.fraction_bits
         rounded = (mean + (whole_step >> 1)) >> self.fraction_bits
         from_mean = middle - mean[:, :, None]
@@ -356,9 +357,10 @@ class _Middles:
         return mark, from_rounded[:, :, 0], 2 * np.where(is_whole, from_rounded, from_mean) + ~is_whole
 
     def encoded(self) -> tuple[Ints, Ints, Ints, Ints]:
-        """Return the marks, the *unit* of each record of 16 splits, and each edge's two integers and bit widths.
+        """Return what the file stores: marks, a *unit* for each 16 splits, and two integers per edge with bit widths.
 
-        The unit is the bit width of a ``narrow`` number. A ``wide`` number takes twice as many bits.
+        The integers are ``narrow`` or ``wide`` numbers (see the class). The unit is the bit width of a ``narrow``
+        number. A ``wide`` number takes twice as many bits.
         """
         # 1. Choose the units for which the records are smallest. Edges whose ``narrow`` number does not fit are
         #    stored wide: their mark changes from 1 to 2.

@@ -104,7 +104,7 @@ def store_sources(
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
     """Round sources to lattices, and merge sources whose rounded positions are equal.
 
-    If sources have ``exits``, such sources merge only if their distances to the goal are also equal up to rounding.
+    If ``sources.exits`` is given, sources merge only if their distances to the goal are also equal up to rounding.
     Return the stored sources, and the index of each given source among the stored sources. ``is_off`` is the result
     of :func:`off_lattices`, if known. ``ValueError`` if numbers are too large.
     """
@@ -300,7 +300,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 @dataclass(frozen=True, eq=False)
 class ConeFiles:
-    """An encoder of cone leaves that computes file sizes."""
+    """An encoder of the cone leaves of a PLR, which also computes the size of the PLR's file."""
 
     sources: Sources  # possible apexes: goals and corners
     domain: Box

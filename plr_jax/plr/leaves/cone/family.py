@@ -121,10 +121,10 @@ class Lattice:
         return samples
 
     def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
-        """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape that occurs.
+        """Yield ``(shape, row, first_sample, offset)`` for each shape of the boxes with the indices ``box``.
 
-        The boxes ``box[row]`` have the shape. All samples of box ``box[row[i]]`` have the indices ``first_sample[i] +
-        offset``.
+        A shape is the number of halvings along each axis; the boxes ``box[row]`` have this shape. The samples in box
+        ``box[row[i]]`` have the indices ``first_sample[i] + offset``, with one array ``offset`` for all these boxes.
         """
         shape_of_box = np.searchsorted(list(self.first.values()), box, side="right") - 1
         for index, shape in enumerate(self.first):
@@ -135,7 +135,7 @@ class Lattice:
 
 
 class GoalSamples(NamedTuple):
-    """The samples of a lattice with their distances to one goal."""
+    """The samples of a :class:`Lattice`, one in each of its smallest boxes, with their distances to one goal."""
 
     # Columns: two coordinates; distance to the goal; weight, the free share of the area of the sample's smallest box.
     # Distance and weight are 0 without a path to the goal.
@@ -154,7 +154,8 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 class BoxFits(NamedTuple):
     """The cone ``distance of source + |x - source|`` fitted to each box of a lattice, and its errors at samples.
 
-    The error at a sample is the absolute difference between the cone and the sample's distance to the goal.
+    A source is a corner or the goal; see :class:`Lattice` for the boxes. The error at a sample is the absolute
+    difference between the cone and the sample's distance to the goal.
     """
 
     goal: GoalSamples
