@@ -76,7 +76,7 @@ def bisect(kernel: Kernel, a: MovingBodies, b: MovingBodies, reach: float, deadl
     """Return whether each body of ``a`` stays ``reach`` away from the body of ``b`` in the same column.
 
     The bodies move at the same time. A negative ``reach`` allows overlaps. ``kernel`` returns two gaps for each pair
-    of bodies: a lower bound of the gap during the whole motion, which loses nothing if nothing turns, and the smaller
+    of bodies: a lower bound of the gap during the whole motion, which is tight if neither body turns, and the smaller
     of the gaps at both ends. Motions are bisected until these gaps decide. Pairs that are still uncertain after 12
     bisections count as too near. If the ``deadline``, a time of ``time.perf_counter``, passes, ``TimeoutError`` is
     raised.

@@ -369,8 +369,8 @@ def _stencil_edges(
 ) -> list[Any]:
     """Return edges between open nodes of a grid along free motions: where they begin and end, and their costs.
 
-    An edge changes one group of axes of the motion cost, such as the axes of the position, obliquely too, by up to
-    ``_REACH`` steps along each axis. ``rates`` are the costs of motions at nodes.
+    An edge leads along the axes of one group of the motion cost, such as the axes of the position, also obliquely, by
+    up to ``_REACH`` grid steps along each of these axes. ``rates`` are the costs of motions at nodes.
     """
     # 1. Edges from nodes whose whole stencil is free need no test.
     domain, motion_cost, shape = space.domain, space.motion_cost, is_open.shape

@@ -100,9 +100,9 @@ reached = bounded.nearest >= 0
 print((bounded.upper[reached] - bounded.lower[reached]).mean() / bounded.distance[reached].mean())
 ```
 
-A search takes 4 kB a cell. Bounds, heights and `squeeze` need it: more than 4 million open cells are an error. Else,
-scikit-fmm marches over rasters of more than 2 million open cells: no paths, errors of 0.1 to 0.3 % where costs change
-slowly, 0.5 to 7 % where they jump, more if random in each cell. 100 million cells take 104 CPU s and 14 GB.
+The path search takes 4 kB a cell. Bounds, heights and `squeeze` need it, and are errors above 4 million open cells.
+Else, scikit-fmm marches over rasters above 2 million open cells: no paths, errors of 0.1 to 0.3 % where costs change
+slowly, 0.5 to 7 % where costs jump, more if random in each cell. 100 million cells take 104 CPU s and 14 GB.
 
 # A file of kilobytes
 

@@ -154,8 +154,8 @@ def cost_bounds(
 
     The boxes have corners ``lo`` and ``hi``. *Pulls* are two vectors per box, ``(2, n, dof)``. The cost of a motion
     ``dq`` in a box is a sum. The first term is its ``motion_cost`` times a factor within the bounds. The second term
-    is the larger of the scalar products of ``dq`` with the box's two pulls, which are 0 if they are too loose.
-    Without a cost map, the factor is 1.
+    is the larger of the scalar products of ``dq`` with the box's two pulls. Pulls are 0 where those of
+    :meth:`DirectionalCost.pulls` are too loose. Without a cost map, the factor is 1.
     """
     if cost_map is None:
         return np.ones(len(lo)), np.ones(len(lo)), None
