@@ -34,7 +34,6 @@ class Place(NamedTuple):
     def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
         """Return the entries of the one or two triangles that contain the point, such as corners that see a triangle.
 
-
         Triangle ``t`` has the entries ``entries[first[t] : first[t + 1]]``.
         """
         listed = entries[first[self.triangle] : first[self.triangle + 1]]
