@@ -93,7 +93,7 @@ class Building(_arrays.PickledWithoutCaches):
         return with_places(corners, mesh, ends[first], Arcs(place[0::2], place[1::2], lengths))
 
     def in_plane(self, floor: ArrayLike, x: ArrayLike) -> np.ndarray:
-        """Return points of floors as points of ``plane``.
+        """Return points of floors as points of ``plane``, in which all floors lie side by side.
 
         Points of 32-bit floats first move into their floor's free space as by :meth:`Workspace.settled`.
         """

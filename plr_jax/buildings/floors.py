@@ -180,7 +180,7 @@ class Floors:
     def route(self, floor: int, start: Float[np.ndarray, "2"], source: int, sources: Sources) -> Route:
         """Return the route to a goal from ``start``, a point of the plane on a floor, given the path's first source.
 
-        ``source`` is the index of this goal or corner in ``sources``, or -1 for no path.
+        A source is a goal, or a corner where paths turn. ``source`` is its index in ``sources``, or -1 for no path.
         """
         numbers, exits = np.asarray(sources.root_numbers), np.asarray(sources.exits)
         legs, links, length, path = [], [], 0.0, [start]

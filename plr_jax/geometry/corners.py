@@ -228,7 +228,8 @@ class TurnPoints:
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
         """Return the length of the path from each point straight to each corner, and on to the goal.
 
-        The length is NaN if the point lies outside the corner's cone. Visibility is not tested.
+        The length is NaN if the point lies outside the corner's cone, the region from which shortest paths can turn
+        at the corner. Visibility is not tested.
         """
         length = distances_between(x, self.points)
         length += self.distance

@@ -85,7 +85,7 @@ class VoxelGrid:
         return np.stack(below), np.stack(above)
 
     def numbers_along(self, axis: int, x: Float[np.ndarray, " n"]) -> tuple[NumbersAlong, NumbersAlong]:
-        """Return, for each coordinate along one axis, the least and largest voxel number that contains it."""
+        """Return, for each coordinate along one axis, the least and largest number of voxels that contain it."""
         # The quotient is right up to rounding: compare exactly with the faces below and above that voxel.
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)

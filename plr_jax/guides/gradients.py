@@ -51,12 +51,13 @@ gaps = (jnp.abs(x[:, None] - walls.mean(axis=1)) - jnp.ptp(walls, axis=1) / 2).m
 penalty = (jnp.maximum(0.1 - gaps, 0) ** 2).mean()  # add this to a cost, to keep walls 0.1 away from points
 ```
 
-Without a goal, the result is a `plr_jax.traced.PolygonDistances`. Pad polygons by repeated vertices, or by rows of NaN
-after you rotate or scale vertices: in gradients, 0 times NaN is NaN.
+Without a goal, the result is a `plr_jax.traced.PolygonDistances`. Pad polygons by repeated vertices, or by rows of
+NaN after you rotate or scale vertices: in gradients, 0 times NaN is NaN.
 
 ```python
 def between(centers):
     return plr_jax.polygon_distance(plr_jax.traced.polygons_of_discs(centers, radii=0.8), None)(x[0], door)
+
 print(jax.grad(between)(jnp.array([(5.0, 3.0), (7.0, 2.0)])))
 ```
 
@@ -87,8 +88,7 @@ print(jax.jit(jax.grad(mean_on_host))(walls.reshape(-1, 2)))
 # Train what a PLR stores
 
 Planes, continuous and smooth leaves are linear in the values that the file stores. `plr.tunable()` returns a
-`plr_jax.plr.TunablePLR`, a pytree of these values, which optax fits to measurements. Leaves keep their boxes, and
-stay continuous where they were. With more values than measurements, noise is fitted, too: use a small `max_bytes`.
+`plr_jax.plr.TunablePLR`, a pytree of these values. With more values than measurements, noise is fitted: use few bytes.
 
 ```python
 problem = plr_jax.scenes.maze()

@@ -421,7 +421,10 @@ class NearestPaths:
         return self.first_turns(as_points("x", x, 2))[1]
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, " n"]:
-        """Return the number of the root at which the path from each point ``(n, 2)`` ends; -1 without a path."""
+        """Return the number of the root at the end of each point's path, a goal or the start of an arc.
+
+        Points are ``(n, 2)``. The class explains the numbers of roots; the result is -1 without a path.
+        """
         source, _ = self.first_turns(as_points("x", x, 2))
         return np.where(source < 0, -1, self.root_numbers[path_ends(self.sources.parents)[source]])
 

@@ -206,7 +206,7 @@ class PairPLR(FileBacked):
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle_and_batch(self, x: ArrayLike, y: ArrayLike | PreparedGoals) -> tuple[Any, Any, tuple[int, ...]]:
-        """Return points and second points or goals, both relative to the middle of the domain, and the batch."""
+        """Return points and second points or goals, relative to the middle of the domain, and the batch's shape."""
         x = self._from_middle("x", x)
         if not isinstance(y, PreparedGoals):
             y = self._from_middle("y", y)

@@ -95,8 +95,8 @@ def shortest_ways(
     """Find shortest paths between points ``x`` and ``y``, both relative to the middle of the domain.
 
     If ``y`` are prepared goals, ``to_corners`` has the distances of goals to all corners, and ``goal`` the row of
-    each ``y`` in ``to_corners``. Otherwise, without arcs, paths are equal to the last bit if ``x`` and ``y`` are
-    swapped.
+    each ``y`` in ``to_corners``. Otherwise, lengths are equal to the last bit if ``x`` and ``y`` are swapped,
+    unless the tables have arcs (links of a building).
     """
     if goal is not None:
         return part_by_part(partial(_ways, tables, to_corners), _AT_ONCE, x, y, goal)

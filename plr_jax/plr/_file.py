@@ -47,7 +47,7 @@ class DecodedFile:
 def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves"] | None:
     """Return whether each leaf holds free points that cannot reach the goal, and no point that can reach it.
 
-    Return None if ``reach`` is None, that is, if such points are unknown.
+    Return None if ``reach`` is None, that is, if it is unknown which points can reach the goal.
     """
     return None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
 

@@ -276,7 +276,7 @@ class PriceSearch:
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:
-        """Return the best tree at a price per leaf; compute the size of its file only if bytes are limited.
+        """Return the tree of least cost plus ``price`` per leaf; compute its file's size only if bytes are limited.
 
         ``weight`` multiplies the largest error of a leaf in the leaf's cost.
         """

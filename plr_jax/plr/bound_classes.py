@@ -40,9 +40,8 @@ def classify_bounds(codes: Codes, volume: Float[np.ndarray, " leaves"], max_bits
     """Group leaves into classes that share error bounds, so that the bounds take at most ``max_bits`` bits in a file.
 
     ``codes`` has each leaf's own lower (row 0) and upper (row 1) bound, as integers from 0 to 255 on a logarithmic
-    scale, of which larger ones stand for wider bounds. Return the codes of the shared
-    bounds, in the same shape. The sum over the leaves of ``volume`` times the width of the shared bounds is kept
-    small.
+    scale: larger integers stand for wider bounds. Return the shared bounds, coded in this way, in the same shape.
+    The sum over the leaves of ``volume`` times the width of the shared bounds is kept small.
     """
     # A leaf's rank is the rank of the larger of its two codes. A class has all leaves of consecutive ranks. Dynamic
     # programming finds the classes of least sum of weighted widths plus a price per bit; bisection finds the lowest

@@ -208,7 +208,7 @@ _LEAST_BITS = 80  # with fewer bits there are no classes
 
 
 class Proof(IntEnum):
-    """The kind of error bounds in a file."""
+    """The kind of error bounds in a file: none, bounds that leaves share, or bounds of each leaf."""
 
     NONE = 0  # no bounds
     CLASSES = 1  # bounds that groups of leaves share; if there is no room, only the largest error of all leaves

@@ -208,7 +208,7 @@ class BitReader:
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
 
     def require_end(self, needed_by: str) -> None:
-        """Raise a ``ValueError`` unless all bits were read; ``needed_by`` ends its message: "its leaves need"."""
+        """Raise a ``ValueError`` unless all bits were read; ``needed_by`` ends the message, as "its cells need"."""
         if not self.at_end():
             raise ValueError(f"it holds more data than {needed_by}")
 

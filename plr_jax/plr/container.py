@@ -373,7 +373,7 @@ class FileBacked:
     def with_label(self, label: str) -> Any:
         """Return a copy whose file stores another label, a text of at most 1,000 bytes (else ``ValueError``).
 
-        The copy shares all tables.
+        The copy shares all lookup tables.
         """
         try:
             fits = isinstance(label, str) and len(label.encode()) <= MOST_LABEL_BYTES

@@ -65,7 +65,7 @@ class Folding:
 
     @property
     def _range_before_mirroring(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
-        """Least and largest coordinates of the domain's points, after shift and rotation."""
+        """Least and largest coordinates of the domain's points, after the folding's shift and rotation."""
         # z_i = sum over j of axes_ij (x_j - center_j): each term is extreme at an end of the domain's axis j.
         ends = self.axes * (self.domain.lo - self.center), self.axes * (self.domain.hi - self.center)
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)

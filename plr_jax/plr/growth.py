@@ -147,7 +147,7 @@ def nodes_of_fit(
 
     ``parent_key`` has the key of each cell's parent: the least priority on the path from the root to it. ``priority``
     and ``axis`` are the results of the rules ``should_split`` and ``split`` for the cells. A cell may be split if its
-    priority is larger than the tolerance and the noise of distances, and if it is not too deep.
+    priority is larger than the tolerance and than :attr:`CellFit.noise`, and if the cell is not too deep.
     """
     priority = checked_priorities(fit, priority)
     axis = checked_axes(fit, axis)

@@ -230,7 +230,7 @@ class Sampler:
     is_sparse: bool = False  # whether little of the domain reaches the goal
 
     def __call__(self, cells: Cells) -> CellFit:
-        """Sample the distance in cells, and fit a plane to the samples of each cell that reach the goal."""
+        """Sample the distance in cells; fit a plane to those samples of each cell from which the goal is reached."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
         if reaches_beyond := (np.abs(pattern.u) > 1).any():

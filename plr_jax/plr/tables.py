@@ -95,8 +95,8 @@ class Blocks:
     """The coarse level of a lookup table: each cell of a coarse grid, a *block*, has a table for a finer grid.
 
     A block has one or more 32-bit *words*. The first word has, from its lowest bit, log2 of the finer grid's size
-    along each axis, then the start of the block's table in ``leaf_of_slot``. Axes for which the first word has no
-    room go into further words. Each word costs a query one read.
+    along each axis, then the start of the block's table in ``leaf_of_slot`` of :class:`Tables`. Axes for which the
+    first word has no room go into further words. Each word costs a query one read.
     """
 
     words: tuple[UInt32[Array, " blocks"], ...]

@@ -63,7 +63,7 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield, for each row of cells, the first and the last column of each segment, and whether it meets the row.
+    """Yield, for each row of cells, the first and last column of each segment, and whether the segment meets the row.
 
     Segments lead from ``a`` to ``b``. The part of a segment in the row is extended by ``slack`` columns at both ends.
     ``xp`` is NumPy or ``jax.numpy``.

@@ -148,8 +148,9 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     """Return the lines of the JavaScript functions that answer queries.
 
     These are ``distance``, for cones ``waypoint``, and if ``is_proven``, ``bounds``. The code reads ``width`` numbers
-    for each leaf from an array ``numbers``. If ``is_proven``, the last two are lower and upper bounds of distance
-    minus PLR value. The variables that the code reads are declared by :func:`js_module` and :func:`js_cone_reader`.
+    for each leaf from an array ``numbers``. If ``is_proven``, the last two numbers are lower and upper bounds of
+    distance minus PLR value. The variables that the code reads are declared by :func:`js_module` and
+    :func:`js_cone_reader`.
     """
     dim, has_tree = program.dim, len(tree.children) > 0
 
@@ -199,8 +200,8 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     """Return the lines of the JavaScript function ``leaf``, which returns the row of parameters of a point's leaf.
 
     The function reads the point's position from the array ``place``. If ``of_cells``, it also finds the leaf's cell.
-    Then, for each axis, ``count`` is the number of such cells along the domain, and ``cell`` the index of the leaf's
-    cell. :func:`js_module` and :func:`js_cone_reader` declare these variables, ``tree`` and ``root``.
+    Then, for each axis, ``count`` is the number of cells of this size along the domain, and ``cell`` the index of
+    this cell. :func:`js_module` and :func:`js_cone_reader` declare these variables, ``tree`` and ``root``.
     """
     # At each node, `place` has the next bit of the position along each axis as its highest bit. For `of_cells`,
     # `count` and `cell` are about cells like the node's.

@@ -93,7 +93,7 @@ class StoredSources:
 
 @dataclass(frozen=True, eq=False)
 class StoredCones:
-    """Cones as in a file: the sources, and the source of each leaf."""
+    """Cones as in a file: all sources (apexes of cones), and the source of each leaf."""
 
     sources: StoredSources
     source: Int[np.ndarray, " leaves"]
