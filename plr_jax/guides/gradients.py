@@ -88,7 +88,7 @@ print(jax.jit(jax.grad(mean_on_host))(walls.reshape(-1, 2)))
 # Train what a PLR stores
 
 Planes, continuous and smooth leaves are linear in the values that the file stores. `plr.tunable()` returns a
-`plr_jax.plr.TunablePLR`, a pytree of these values. With more values than measurements, noise is fitted: use few bytes.
+`plr_jax.plr.TunablePLR`, a pytree of the values. With more values than measurements, noise is fitted: use few bytes.
 
 ```python
 problem = plr_jax.scenes.maze()
