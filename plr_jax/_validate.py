@@ -165,12 +165,12 @@ class _Encounter:
 
     @cached_property
     def max_rates(self) -> Float[np.ndarray, " motions"]:
-        """Upper bound of the clearance's change per unit of time (one step of the path) in each motion."""
+        """Upper bound, for each motion, of how fast the clearance changes per unit of time (one step of the path)."""
         return self.rim_speeds + np.linalg.norm(self.velocity, axis=1)
 
     @cached_property
     def smallest(self) -> Float[np.ndarray, " motions"]:
-        """Upper bound of the smallest clearance in each motion."""
+        """Upper bound, for each motion, of the smallest clearance between the two objects."""
         # If no motion collides, the minimum over all motions is accurate to `tolerance`.
         # 1. Motions without turns: exact, as the robot's swept area. Others: at first, the clearance at both ends.
         at_rows = self.clearances(np.arange(len(self.path), dtype=float))
@@ -196,7 +196,7 @@ class _Encounter:
 
     @cached_property
     def first_moment(self) -> float:
-        """Time at which the first collision begins, in steps."""
+        """Time, in steps, at which the first collision of the two objects begins."""
         # Halve intervals as in `smallest`, but keep all intervals that may have a collision, up to the first interval
         # that has a collision in its middle.
         motion, begin = int((self.smallest < -self.tolerance).argmax()), np.zeros(1)

@@ -89,7 +89,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
-    """Return the file's contents with proven bounds of (cost-to-go - leaf function) for each leaf.
+    """Return ``contents``, a decoded file, with proven bounds of (cost-to-go - leaf function) added for each leaf.
 
     A leaf gets the worst of the field's bounds over all mesh cells that overlap the leaf. ``straight`` is the lower
     bound by straight motions, which is stored too.

@@ -121,7 +121,7 @@ class Mesh:
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
         """Convert fractions of the domain to local coordinates of cells.
 
-        Along periodic axes, use the image of the point that is nearest to the cell.
+        Along periodic axes, a point is first moved by whole periods, to be nearest to the cell.
         """
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)

@@ -86,7 +86,7 @@ class Solution:
             that costs more than the cost factor allows.
         stats: Effort of the planner.
         samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
-            ``bl_plan``, nodes of the search that has most, on the lattices searched last.
+            ``bl_plan``, nodes of the search with the most nodes, on the lattices that were searched last.
         motions_factor: Proven upper bound of a ratio: the cost of the path before shortening, over the cost of
             the cheapest path made of motions on the same lattices. ``inf`` if nothing is proven.
         times: Time at which the path reaches each row, ``(steps,)``, from 0 to the makespan. None without a path.

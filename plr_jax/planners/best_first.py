@@ -125,7 +125,8 @@ class SuccessorList:
 class BestFirstSearch:
     """A best-first search that adds one child of a node at a time, then queues the node again for its next child.
 
-    Several nodes are expanded at once while the search makes no progress. The life of a node::
+    Children are next joint configurations of the team; the *successors* of a node are its best children. Several
+    nodes are expanded at once while the search makes no progress. The life of a node::
 
         frontier --pop--> node --- if it has no successors: beam search stores some (`_expand`)
           ^                |

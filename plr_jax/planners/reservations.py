@@ -61,7 +61,9 @@ class ReservationTable:
             self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
 
     def reserve(self, robots: list[int], change: int = 1) -> None:
-        """Count the robots with these indices as blocking, in each step, all edges that collide with their motions.
+        """Count that the robots with these indices block, in each step, all edges that collide with their motions.
+
+        An edge is a lattice motion that a robot might make.
 
         ``change=-1`` undoes this. ``TimeoutError`` or ``MemoryError`` if time or memory runs out.
         """
