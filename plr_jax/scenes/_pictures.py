@@ -284,9 +284,7 @@ class _MapServer(NamedTuple):
         return cls(_occupancy(image, mode, bool(negate)), resolution, origin, mode, free_thresh, occupied_thresh)
 
     def occupancy_grid(self) -> Float[np.ndarray, "rows columns"]:
-        """Return the occupancy of all pixels as in ROS's ``OccupancyGrid``: 0 to 100, -1 if unknown; row 0 is the
-        top.
-        """
+        """Return occupancies as in ROS's ``OccupancyGrid``: 0 to 100, -1 where unknown; row 0 is the top row."""
         occupancy, _, _, mode, lowest, highest = self
         # Below the lower threshold a pixel is free, above the upper one occupied. Between them it is unknown, but in
         # mode "scale" occupied in part. Mode "raw" has no thresholds.
