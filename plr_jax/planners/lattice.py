@@ -75,9 +75,10 @@ class CellGrid(NamedTuple):
     cost: Float[np.ndarray, "cells primitives"]  # `inf` for a blocked primitive
 
     def choose_representatives(self, cells: Int[np.ndarray, " n"], deadline: float) -> None:
-        """Write the representatives of cells into the grid, in which ``q`` has the centers of the cells.
+        """Choose a representative for each of ``cells`` (a free configuration in it), and write it into the grid.
 
-        Successive cells differ only in the heading, which must make a full turn before the position changes.
+        Before the call, the field ``q`` must hold the centers of the cells. In ``cells``, all headings of a position
+        must follow one another.
         """
         q = self.q[cells]
 

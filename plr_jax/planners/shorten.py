@@ -239,11 +239,11 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations to try in each row of robot ``i``'s path ``q``: first the present one, then others.
+    """Return configurations to try in each row of robot ``i``'s path ``q``: the present configuration, then others.
 
     The other positions are shifted by ``width`` along the axes or, if ``diagonal``, along the diagonals. The other
     headings are turned so far that the body's farthest point moves by ``width``. In the first and the last row, all
-    configurations are the present one.
+    configurations equal the present configuration.
     """
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))

@@ -57,9 +57,9 @@ class SearchGrid(NamedTuple):
         return raster.repeat(self.parts[0], axis=0).repeat(self.parts[1], axis=1)
 
     def interpolated(self, raster: Raster) -> Parts:
-        """Return a raster's values, interpolated at the centers of all parts of the grid.
+        """Return a raster's values at the centers of the parts into which the grid divides the raster's cells.
 
-        They are bilinear between centers of cells, and constant beyond the outermost centers.
+        Values are interpolated bilinearly between centers of cells, and constant beyond the outermost centers.
         """
         beside = np.pad(raster, ((1, 1), (0, 0)), mode="edge")
         beside = np.pad(beside, ((0, 0), (1, 1)), mode="wrap" if self.box.periodic[0] else "edge")
