@@ -32,16 +32,19 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
 class MotionTest:
-    """A test, with a deadline, whether straight motions keep a robot off obstacles and within the bounds."""
+    """A test, with a deadline, whether straight motions keep a robot off obstacles and within the bounds.
 
-    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = np.inf):
+    ``cells`` are the fewest and the most cells of the grid along the longer side.
+    """
+
+    def __init__(self, workspace: Workspace, robot: Robot, deadline: float = np.inf, cells: tuple[int, int] = _CELLS):
         self.workspace, self.robot = workspace, robot
         # 1. Choose cells about half as large as the robot. A robot no larger than the tolerance counts as a point.
         width = workspace.bounds.width
         self._is_point = robot.circumscribed_radius <= workspace.tolerance
         size = 0.0 if self._is_point else robot.circumscribed_radius
         cell = size / 2 or width.max() / _POINT_CELLS
-        self._cell = cell = float(np.clip(cell, width.max() / _CELLS[1], width.max() / _CELLS[0]))
+        self._cell = cell = float(np.clip(cell, width.max() / cells[1], width.max() / cells[0]))
         self._shape = columns, rows = tuple(np.ceil(width / cell).astype(int).tolist())
         x, y = (lo + (np.arange(num) + 0.5) * cell for lo, num in zip(workspace.bounds.lo, self._shape, strict=True))
         centers = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)

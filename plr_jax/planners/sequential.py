@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import shortest_path
 
 from plr_jax._arrays import path_from_root
 from plr_jax._problem import JointPath, Problem
-from plr_jax.collision.walls import motion_test
+from plr_jax.collision.walls import MotionTest
 from plr_jax.geometry.vectors import distance_to_segment, turn_between, turned_left
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots import DiscRobot, Points
@@ -23,6 +23,7 @@ from plr_jax.robots import DiscRobot, Points
 # With more walls or robots, lattice searches are as fast, and no order of robots is likely to exist.
 _MOST_WALLS = 48
 _MOST_ROBOTS = 8
+_CELLS = (1, 8)  # a coarse grid for the test of motions: building it takes longer than testing the few motions
 _SHARP_TURN = 2.0  # turn of the normals (radians) at a convex corner above which a route has two positions there
 _LEAST_COSINE = 1e-3  # bounds the distance of positions from sharp concave corners
 _COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are faster in plain Python
@@ -43,7 +44,7 @@ class CornerRoadmap:
         self.q = q[workspace.clearance(q) >= radius - workspace.tolerance / 2]  # rounding must not exclude contacts
         self.places: list[complex] = (self.q @ _COMPLEX).tolist()
         # 2. Find the shortest routes between them.
-        self.is_free = motion_test(workspace, DiscRobot(radius))
+        self.is_free = MotionTest(workspace, DiscRobot(radius), cells=_CELLS)
         first, last = np.triu_indices(len(self.q), 1)
         free = self.is_free(self.q[first], self.q[last])
         straight = np.zeros((len(self.q), len(self.q)))
