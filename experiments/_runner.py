@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import plr_jax
 from experiments._tables import as_text
 
 RESULTS = Path(__file__).parent / "results"
@@ -120,7 +121,7 @@ def environment() -> dict[str, Any]:
 
     def version_of(package: str) -> str:
         try:
-            return version(package)
+            return version(package) if package != "plr-jax" else plr_jax.__version__
         except PackageNotFoundError:
             return "not installed"
 

@@ -90,12 +90,13 @@ NUMBERS = {
     "query": Number("1,000,000 points in JAX, to SciPy map_coordinates", "error, equal bytes"),
     "small_query": Number("100 points in NumPy, to SciPy map_coordinates", "error, equal bytes"),
     "error": Number("mean error of cones, to a coded grid", "bytes"),
-    "certified": Number("construct with a proof, to without", "mean gap of bounds over mean distance"),
     "solve_eikonal": Number("solve_eikonal, to scikit-fmm, 9 nodes a cell", "error"),
-    "cost_distance": Number("cost_distance, to scikit-image MCP_Geometric", "error"),
+    "cost_distance": Number("cost_distance, to scikit-fmm, 9 nodes a cell", "error"),
     "first_path": Number("first path of a team, to OMPL", "cost of the first path"),
     "our_cost": Number("path at most 1 % longer than ours, to OMPL", "share of trials that OMPL ends within 2 s"),
     "construct": Number("construct of three kinds of leaves, to the previous release", "error", True),
+    "certified": Number("construct of cones with a proof, to the previous release", "mean gap of bounds", True),
+    "few_points": Number("1,000 points outside jit, to the previous release", "error", True),
     "first_answers": Number("import, load and 1,000 points, to the previous release", "error", True),
     "errors": Number("mean error of three kinds of leaves, to the previous release", "bytes", True),
     "pairs": Number("10,000 pairs of points, to the previous release", "error", True),
@@ -170,10 +171,13 @@ def _distances(bench: Bench) -> Numbers:
         seconds, sizes[worker, leaf] = worker("construct", leaf=leaf, max_bytes=MAX_BYTES, certified=certified)
         return seconds
 
-    # 1. Bounds by a proof, beside a PLR without one.
-    proofs = bench.in_turns(partial(build, certified=True), lambda: build(ours))
-    build(ours, certified=True)
-    numbers: Numbers = {"certified": (proofs, float(ours("gap", x=x)[1].mean() / truth.mean()))}
+    # 1. Cones with a proof, by both releases.
+    proofs = bench.to_previous(partial(build, certified=True))
+    gaps: list[float] = []
+    for worker in releases:
+        build(worker, certified=True)
+        gaps.append(float(worker("gap", x=x)[1].mean()))
+    numbers: Numbers = {"certified": (proofs, gaps[0] / gaps[1])}
     # 2. Kinds of leaves, by both releases; cones last, for what follows.
     leaves = LEAVES[-1:] if smoke else LEAVES
     building = bench.to_previous(lambda worker: sum(build(worker, leaf) for leaf in leaves))
@@ -203,6 +207,8 @@ def _distances(bench: Bench) -> Numbers:
         query = partial(_seconds, task="query", x=points, calls=calls, in_numpy=in_numpy)
         of_grid = partial(_seconds, partial(repeated, partial(rival.answer, points), calls))
         numbers[name] = bench.in_turns(query, of_grid), error
+    few = partial(_seconds, task="query", x=batch[:1_000], calls=100, in_numpy=False)
+    numbers["few_points"] = bench.to_previous(few), of_errors[-1]
     # 5. Pairs of points.
     pairs = {"x": x[:10_000], "y": y[:10_000]}
     of_pairs = exact.between(*pairs.values())
@@ -233,10 +239,10 @@ def _costs(bench: Bench) -> Numbers:
     arguments = {"costs": raster, "sources": [(column + 0.5, row + 0.5) for row, column in cells]}
     if (answer := ours("cost_distance", **arguments)) is not None:
         coarse, fine = (cost_distance.marched(raster, cells, each) for each in ((2, 2) if smoke else (4, 8)))
-        image = partial(timed, partial(cost_distance.scikit_image, raster, cells))
+        march = partial(timed, partial(cost_distance.scikit_fmm_divided, raster, cells))
         search = partial(_seconds, task="cost_distance", **arguments)
-        searching = bench.in_turns(search, partial(_seconds, image))
-        of_us, of_rival = (relative_error(each, 2 * fine - coarse) for each in (answer[1], image()[1]))
+        searching = bench.in_turns(search, partial(_seconds, march))
+        of_us, of_rival = (relative_error(each, 2 * fine - coarse) for each in (answer[1], march()[1]))
         numbers["cost_distance"] = searching, of_us / of_rival
     return numbers
 
@@ -269,8 +275,11 @@ def _plans(bench: Bench) -> Numbers:
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
     """Draw a panel for each number: ratios over releases, with their quartiles."""
     versions, entries = list(results["entries"]), list(results["entries"].values())
-    figure = Figure(figsize=(11, 7.5), layout="constrained", facecolor="white")
-    for ax, (name, number) in zip(figure.subplots(3, 4).flat, results["numbers"].items(), strict=True):
+    figure = Figure(figsize=(11, 10), layout="constrained", facecolor="white")
+    panels = list(figure.subplots(-(-len(results["numbers"]) // 4), 4).flat)
+    for ax in panels[len(results["numbers"]) :]:
+        ax.remove()
+    for ax, (name, number) in zip(panels, results["numbers"].items(), strict=False):
         low, ratio, high = levels(entries, name, number["is_to_previous"])
         ax.axhline(1, color="#999999", lw=0.8, ls="--")
         ax.errorbar(range(len(entries)), ratio, [ratio - low, high - ratio], fmt="-o", color="#0072B2", ms=4)

@@ -62,7 +62,7 @@ def _rows(plrs: dict[int, PLR], points: list[int], turns: int, seed: int) -> lis
     rows = {leaves: {"dim": dim, **size_of(plr), "nanoseconds": {}} for leaves, plr in plrs.items()}
     for n in points:
         x = jnp.asarray(np.random.default_rng(POINT_SEED + seed).random((n, dim)), jnp.float32)
-        calls: dict[str, Callable[[], Any]] = {str(leaves): partial(plr, x) for leaves, plr in plrs.items()}
+        calls: dict[str, Callable[[], Any]] = {str(leaves): partial(jax.jit(plr), x) for leaves, plr in plrs.items()}
         for leaves, seconds in interleaved(calls, turns).items():
             rows[int(leaves)]["nanoseconds"][str(n)] = [1e9 / n * s for s in seconds]
     return list(rows.values())
@@ -122,7 +122,7 @@ def _plane(
     exact = VisibilityGraph(problem.workspace, problem.goals[0])
     plr = construct(exact, problem.workspace.bounds, max_bytes=max_bytes, seed=seed)
     rivals, skipped = make_all(makers(plr, exact, num_samples, num_steps, seed))
-    contenders = {"PLR, planes": Rival(plr.num_bytes, plr, True), **rivals}
+    contenders = {"PLR, planes": Rival(plr.num_bytes, jax.jit(plr), True), **rivals}
     x_free = problem.workspace.sample_free(num_tests, POINT_SEED + seed)
     rows = {name: {"bytes": rival.num_bytes, **errors(rival, exact, x_free)} for name, rival in contenders.items()}
     times = {n: interleaved(_calls(contenders, _points(n, 2, seed)), turns) for n in points}
@@ -199,7 +199,7 @@ def _joint(num_points: int, turns: int, num_leaves: int, seed: int) -> dict[str,
             "Numba loop, all cores": lambda: Rival(plr.num_bytes, numba_loop(plr, parallel=True)),
         }
     )
-    contenders = {"PLR": Rival(plr.num_bytes, plr, True), **rivals}
+    contenders = {"PLR": Rival(plr.num_bytes, jax.jit(plr), True), **rivals}
     q = np.concatenate([workspace.sample_free(num_points, POINT_SEED + seed + robot) for robot in range(2)], axis=1)
     seconds = interleaved(_calls(contenders, q.astype(np.float32)), turns)
     return {
