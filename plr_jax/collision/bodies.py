@@ -271,7 +271,10 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Columns:
-    """Return two gaps between boxes ``a`` and points ``b`` for :func:`bisect`, as :func:`convex_separation` does."""
+    """Return two gaps between boxes ``a`` and points ``b``: a lower bound for the whole motion, and that at its ends.
+
+    :func:`bisect` uses them, as those of :func:`convex_separation`.
+    """
     # In coordinates (u, v) along the box, the point's path deviates from the chord of its ends by at most the bulge.
     ends, distances = [], []
     for end in (0.0, 1.0):

@@ -116,7 +116,8 @@ def motions_apart(
     """Return whether two robots stay apart while one moves from ``a0`` to ``a1`` and the other from ``b0`` to ``b1``.
 
     Configurations ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, with one
-    exception: it may be False if a robot that is not round turns within about 1e-7 of its size from a collision.
+    exception: it may be False if a robot that is not round turns while its gap to the other robot falls below about
+    1e-7 of its size.
     ``TimeoutError`` is raised if the ``deadline``, a time of ``time.perf_counter``, passes.
     """
     require_time(deadline, "all motions were tested")

@@ -69,8 +69,8 @@ class MotionTest:
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = np.inf) -> Booleans:
         """Return whether motions between finite configurations are collision-free, up to ``workspace.tolerance``.
 
-        The result is exact, with one exception: it may be False if a robot turns within about 1e-7 of its size from a
-        wall. ``TimeoutError`` if the deadline passes before all motions are tested.
+        The result is exact, with one exception: it may be False if a robot turns while its gap to a wall falls below
+        about 1e-7 of its size. ``TimeoutError`` if the deadline passes before all motions are tested.
         """
         if len(q0) > _CHUNK:
             return np.concatenate([self(q0[rows], q1[rows], deadline) for rows in slices(len(q0), _CHUNK)])

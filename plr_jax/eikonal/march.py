@@ -125,10 +125,10 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
     """Return whether the coarse grid of every second node has the same walls as the grid, and no jumps of the costs.
 
     The grid must have an odd number of nodes along each axis, else the result is False. ``is_open`` marks the nodes
-    that paths may pass; the other nodes are closed. Consider two nodes of the coarse grid that are neighbors along an
-    axis. If both are open, the node between them must be open too, and the costs ``factor`` of the two must be
-    similar. If one of the two is closed, the other must be closed or lie on a wall. ``is_clear`` marks the open nodes
-    that lie on no wall.
+    that paths may pass; the other nodes are closed. ``is_clear`` marks the open nodes that lie on no wall. Consider
+    two nodes of the coarse grid that are neighbors along an axis. If both are open, the node between them must be
+    open too, and the costs ``factor`` of the two must be similar. If one of the two is closed, the other must be
+    closed or lie on a wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False

@@ -115,7 +115,11 @@ class Mesh:
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
     def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Convert fractions of the domain to local coordinates of cells, without regard to periodic axes."""
+        """Convert fractions of the domain to coordinates from 0 to 1 across each cell.
+
+        Points outside a cell have coordinates below 0 or above 1. Periodic axes do not wrap around (see
+        :meth:`within`).
+        """
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:

@@ -38,7 +38,7 @@ may have at most 8,192 reflex corners. Points closer to a wall than 4e-6 of the 
 
 # On a grid
 
-`plr_jax.GridPairs` answers for all pairs of cells. The file stores only the map.
+`plr_jax.GridPairs` gives path lengths between any two cells of a grid. Its file stores only the map.
 
 ```python
 import numpy as np

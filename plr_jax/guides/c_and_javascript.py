@@ -37,7 +37,7 @@ operations change the last bits. With `-m32`, x87 registers do, too: an `#error`
 #include <stdio.h>
 #include "maze.h"
 
-/* Go from x to `next`, and find the waypoint after it: the first other one when looking ahead. 0 if there is none. */
+/* Go from x to `next`, and look ahead for another waypoint, the next one. Return 0 if there is none. */
 static int arrive(float x[2], float next[2])
 {
     const float at[2] = {next[0], next[1]};

@@ -45,8 +45,8 @@ the ellipsoid, distances differ from those on the sphere by up to 0.6 %.
 
 # Corridors, and areas within a time
 
-The cheapest path through each cell from one place to another costs the sum of the cell's two distances. Cells where
-the sum is little above its least value are a corridor. Places may be masks, such as all cells of a reserve. With
+The cheapest path between two places through a cell costs the sum of the cell's distances to both. Cells where the sum
+is little above its least value are a corridor. Places may be masks, such as all cells of a reserve. With
 heights, use `from_sources=True` for the place where paths start.
 
 ```python
@@ -107,7 +107,7 @@ slowly, 0.5 to 7 % where costs jump, more if random in each cell. 100 million ce
 # A file of kilobytes
 
 `max_bytes=8192` adds `result.plr`, a `plr_jax.PLR` of the distance: a small file with a gradient, also for C and
-JavaScript. It has no proven bounds, and finite values in barriers. Measure its errors at the centers of cells.
+JavaScript. It lacks proven bounds, and its values in barriers are finite. Measure its errors at the centers of cells.
 `plr_jax.descend` follows the PLR to a source among the cells of a `plr_jax.RasterCost`. Its paths are approximate:
 compare `walk.costs` with the distance.
 

@@ -98,6 +98,6 @@ or build cones for `workspace.inflate(radius, outside=True)`. The inflated works
 ```python
 toward_goal = -jax.vmap(jax.grad(cones))(starts)
 exact = oracle.directions(starts)
-print(np.einsum("ij,ij->i", toward_goal, exact).min())  # the smallest cosine of an angle between the two directions
+print(np.einsum("ij,ij->i", toward_goal, exact).min())  # the smallest cosine between the two directions
 ```
 """

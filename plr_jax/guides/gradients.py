@@ -47,12 +47,12 @@ state = optimizer.init(shifts := jnp.zeros((2, 2)))
 for _ in range(20):
     shifts, state, cost = step(shifts, state)
 print(shifts, cost)
-gaps = (jnp.abs(x[:, None] - walls.mean(axis=1)) - jnp.ptp(walls, axis=1) / 2).max(axis=2)  # to each box; < 0 inside
+gaps = (jnp.abs(x[:, None] - walls.mean(axis=1)) - jnp.ptp(walls, axis=1) / 2).max(axis=2)  # to boxes; < 0 inside
 penalty = (jnp.maximum(0.1 - gaps, 0) ** 2).mean()  # add this to a cost, to keep walls 0.1 away from points
 ```
 
-Without a goal, the result is a `plr_jax.traced.PolygonDistances`. Pad polygons by repeated vertices, or by rows of
-NaN after you rotate or scale vertices: in gradients, 0 times NaN is NaN.
+Without a goal, `polygon_distance` returns a `plr_jax.traced.PolygonDistances`. Pad polygons by repeated vertices, or
+by rows of NaN after you rotate or scale vertices: in gradients, 0 times NaN is NaN.
 
 ```python
 def between(centers):

@@ -84,7 +84,7 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 # Under way
 
 `plr_jax.replan` plans again for robots whose goals have changed or whose paths are blocked, and for robots in their
-way. If that fails, it plans for the whole team. All other robots keep their routes, but at other times. So all robots
+way. If this fails, it plans for the whole team. All other robots keep their routes, but at other times. So all robots
 must switch to the new path at once. For straighter paths, pass `plr_jax.BLOptions(lower_bound=..., cost_factor=1.02)`
 with `plr_jax.exact_lower_bound(now)`: if the new path costs over 1.02 times the bound, the whole team is planned.
 

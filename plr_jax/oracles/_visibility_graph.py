@@ -161,7 +161,10 @@ class VisibilityGraph(PickledWithoutCaches):
         return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return a free sample point in each box, and the corners that see this point; the result fits all goals."""
+        """Choose a free sample point in each box with free points, and find the corners where paths from it may turn.
+
+        The result serves the oracles of all goals in this workspace.
+        """
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:

@@ -311,11 +311,11 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, is_seen: Flags) -> tuple[_Lengths, _Bits, _Bits]:
-    """Return the length of a likely shortest path for each pair of cells, and blocks that may give a shorter path.
+    """Return, for each pair of cells, the length of a probably shortest path, and blocks that may shorten it.
 
     A block is a group of four corners that a path may pass. The second result has the blocks of cells ``p``, the
     third the blocks of cells ``q``, as bits of an integer (see :func:`_least_over_blocks`). ``is_seen`` says which
-    pairs of cells see each other. For these pairs no path is shorter, so the results have no blocks.
+    pairs of cells see each other. For these pairs, the length is exact, and there are no blocks.
     """
     corner, leg = _nearest_to_both(tables, p, q, is_seen)
     other, other_leg = _nearest_to_both(tables, q, p, is_seen)

@@ -91,7 +91,7 @@ class NearWalls:
     def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
         """Return whether walls hide a corner from each point ``x[i]`` of leaf ``leaf[i]``.
 
-        The corner is at ``corner[i]``, and has the index ``place[i]`` in the list of the leaf.
+        The corner is at ``corner[i]``, and is number ``place[i]`` in the leaf's list of corners.
         """
         # The first walls decide most rows. The others are tested against all walls of their entries, in batches.
         packed, size = self.first[leaf, place], x.shape[0]

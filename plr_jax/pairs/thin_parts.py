@@ -95,9 +95,10 @@ def with_thin_parts(outline: Outline, vertex: Int[np.ndarray, " _"], free_space:
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, _Spans]:
-    """Return the thin parts of walls: for the index of a wall, intervals of the distance from the wall's start.
+    """Return a dictionary from the index of a wall to its thin parts, intervals of distance from the wall's start.
 
-    A wall is thin where moving it into its obstacle would bring it near free space on the other side. The intervals
+    A wall is thin where moving it ``RECEDING * width`` into its obstacle would bring it near free space on the other
+    side; ``width`` is that of the domain. The intervals
     of a wall are ascending and disjoint. Walls without an entry are not thin.
     """
     reach = RECEDING * width

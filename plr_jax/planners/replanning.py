@@ -321,7 +321,7 @@ class _LifelongTeam:
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
 
     def _possible_goals(self) -> Float[np.ndarray, "robots dof"]:
-        """Return each robot's requested goal, or its previous goal if bodies at requested goals would overlap."""
+        """Return each robot's requested goal, or its previous goal if bodies would overlap at the requested one."""
         # Going back to a previous goal may cause another overlap, so all new goals are then tested again. This ends,
         # since previous goals never overlap, and a goal that went back stays.
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance

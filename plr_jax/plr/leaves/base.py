@@ -98,7 +98,7 @@ class LeafModel(ABC):
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         """Return the parameters of the leaves, the numbers that a query reads, one row per leaf.
 
-        Points of the query are relative to ``corner``.
+        The query uses these numbers with points minus ``corner``.
         """
 
     @abstractmethod

@@ -381,7 +381,9 @@ class _Middles:
 
 
 def _smooth_parameters(tree: Tree, corners: Ints, periodic: tuple[bool, ...]) -> Float[np.ndarray, "leaves terms"]:
-    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN if unknown.
+    """Return the polynomial coefficients of smooth leaves, rounded as in the C decoder, level by level of the tree.
+
+    Coefficients are NaN where this rounding cannot be predicted.
 
     ``corners`` has the function's values at the corners of each node, ``(nodes, 4)``.
     """
