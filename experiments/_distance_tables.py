@@ -46,7 +46,8 @@ def rivals(results: dict[str, Any], query: dict[str, Any]) -> str:
         f"{name} {' and '.join(f'{nanoseconds[name][str(n)][0]:.3g}' for n in sizes)}" for name in _SPEED_CONTENDERS
     )
     batches = " and ".join(f"{n:,}" for n in sizes)
-    return markdown(table, numbers=len(maps)) + f"\nNanoseconds a point in `jit`, batches of {batches} (maze): {times}.\n"
+    line = f"Nanoseconds a point in batches of {batches} (maze; JAX in `jit`): {times}."
+    return markdown(table, numbers=len(maps)) + f"\n{line}\n"
 
 
 def cones_and_best_rival(results: dict[str, Any], name: str, budget: int) -> tuple[float, float, str]:
