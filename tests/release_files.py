@@ -136,7 +136,8 @@ def main() -> None:
         found = answers(kind, plr, arguments)
         table[kind] = {"arguments": [to_hex(each) for each in arguments]}
         table[kind] |= {name: to_hex(values) for name, values in found.items()}
-    (folder / "answers.json").write_text(json.dumps(table, indent=0) + "\n")
+    lines = [f"{json.dumps(kind)}: {json.dumps(row)}" for kind, row in table.items()]
+    (folder / "answers.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
     problem = scenes.single_door()
     scenes.save(problem, folder / "scene.json")
     plr_jax.bl_plan(problem).save(folder / "solution.json")
