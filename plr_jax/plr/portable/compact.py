@@ -239,8 +239,7 @@ class _CompactWriter:
         """Append planes and exceptions (parameters of some leaves), then ``rows``; return all bytes of the PLR.
 
         ``decoded`` are the leaf parameters that the decoder computes. Where a query of the PLR file uses other
-        numbers, these are stored: each number as an exception, with its position, or all numbers of a nearly plane
-        leaf as a plane.
+        numbers, these are stored as exceptions with their positions, or as the plane of a nearly plane leaf.
         """
         # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
         #    fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
@@ -383,9 +382,8 @@ class _Middles:
 def _smooth_parameters(tree: Tree, corners: Ints, periodic: tuple[bool, ...]) -> Float[np.ndarray, "leaves terms"]:
     """Return the polynomial coefficients of smooth leaves, rounded as in the C decoder, level by level of the tree.
 
-    Coefficients are NaN where this rounding cannot be predicted.
-
-    ``corners`` has the function's values at the corners of each node, ``(nodes, 4)``.
+    Coefficients are NaN where this rounding cannot be predicted. ``corners`` has the function's values at the corners
+    of each node, ``(nodes, 4)``.
     """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic).numbers_at
     leaves = np.flatnonzero(tree.child < 0)
